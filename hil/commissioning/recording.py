@@ -14,20 +14,21 @@ from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
 from servobench.drivers.wire.identifiers import EXTENDED_FLAG, REMOTE_FLAG
 from servobench.hil.execution.world import World
 from servobench.hil.recording.append_file import AppendFile
-from servobench.hil.recording.candump import candump_lines, direction_lines
 from servobench.hil.rows.event_lines import event_json
 from servobench.hil.rows.recording_plan import SIMULATED_EPOCH
-from servobench.hil.rows.run_files import DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE
+from servobench.hil.rows.run_files import EVENTS_FILE, FRAMES_FILE
 from servobench.hil.rows.side_rows import FRAME_DTYPE, StateEvent, TextEvent, frame_row
 
 _TRACK: Final = "step"
 
 
 class SessionLog:
-    """frames.log, frames.directions and events.jsonl of one commissioning."""
+    """frames.arrow, frames.index and events.jsonl of one commissioning."""
 
     def __init__(self, folder: Path, world: World, bus: str, title: str) -> None:
-        """``bus``: the spec; its last part is the interface in frames.log. Error: OSError."""
+        """``bus``: the spec; its last part is the interface of the frames. Error: OSError."""
+        from servobench.hil.recording.frame_files import FrameFiles  # pyarrow, which no loop needs
+
         folder.mkdir(parents=True, exist_ok=True)
         self.failed = ""
         """Why nothing more is recorded; empty while recording."""
@@ -35,11 +36,10 @@ class SessionLog:
         self._zero = self._clock.now()
         offset = world.wall_offset
         self._offset = Duration(SIMULATED_EPOCH - self._zero) if offset is None else offset
-        self._interface = bus.rpartition(":")[2]
         self._rows: list[bytes] = []
         self._events: list[TextEvent | StateEvent] = []
-        names = (DIRECTIONS_FILE, FRAMES_FILE, EVENTS_FILE)
-        self._directions, self._frames, self._told = (AppendFile(folder / name) for name in names)
+        self._frames = FrameFiles(folder, (bus.rpartition(":")[2],))
+        self._told = AppendFile(folder / EVENTS_FILE)
         world.link.tap(self._take)
         world.tap_errors(self._take)
         stamp_us = (self._zero + self._offset) // NS_PER_US
@@ -71,8 +71,7 @@ class SessionLog:
         frames = frames[np.argsort(frames["at"], kind="stable")]
         lines = [json.dumps(event_json(event, self._zero)) + "\n" for event in events]
         try:
-            self._directions.write(direction_lines(frames))
-            self._frames.write(candump_lines(frames, self._interface, self._offset))
+            self._frames.write(frames, self._offset)
             self._told.write("".join(lines).encode())
         except OSError as error:
             self.failed = str(error)
@@ -81,5 +80,8 @@ class SessionLog:
         """Close the recording."""
         self.write()
         if not self.failed:
-            for file in (self._directions, self._frames, self._told):
-                file.close()
+            try:
+                self._frames.close()
+                self._told.close()
+            except OSError as error:
+                self.failed = str(error)

@@ -269,7 +269,7 @@ class RecordingConfig(Section):
     """``[recording]``"""
 
     frames: bool = True
-    """True: frames.log holds every frame."""
+    """True: frames.arrow holds every frame."""
     on_failure: Literal["stop", "continue"] = "stop"
     """Reaction to a failed recording: end the run in order, or continue; it has not passed either way."""
 

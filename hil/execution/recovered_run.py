@@ -54,7 +54,7 @@ def refuse_whole(folder: Path) -> None:
 
 def _times(records: Path) -> tuple[Instant, Duration | None]:
     """Return from the head of the records the recording's start on the bench clock, and the offset of the
-    stamps in frames.log; 0 and None if missing."""
+    stamps of frames; 0 and None if missing."""
     metadata = read_metadata(records) if records.exists() else {}
     if not metadata:
         return Instant(0), None

@@ -48,13 +48,14 @@ from servobench.hil.rows.run_files import (
     COMMISSIONING_RECORDING,
     EVENTS_FILE,
     FRAMES_FILE,
+    FRAMES_LOG,
     RERUN_FILE,
 )
 from servobench.hil.verdict.plain_values import from_plain
 
 _APPLICATION: Final = "servobench commissioning"
 _ZERO: Final = re.compile(r"0 ns is \((\d+)\.(\d{6})\)")
-"""How the first event tells where the events' time begins in frames.log."""
+"""How the first event tells where the events' time begins in the stamps of frames."""
 _STEP, _DRIVE = "/state/1_step", "/state/2_drive"
 """Rerun lays lanes out by their paths."""
 _EVENTS, _FIGURES = "/events", "/figures"
@@ -118,7 +119,8 @@ _PLOTS: Final = {"speed": "Speed [r/min]", "position": "Position [turns]", "torq
 
 def is_commissioning(folder: Path) -> bool:
     """Return True if ``hil commission`` wrote the folder."""
-    return (folder / COMMISSIONING_RECORDING / FRAMES_FILE).is_file()
+    recording = folder / COMMISSIONING_RECORDING
+    return any((recording / name).is_file() for name in (FRAMES_FILE, FRAMES_LOG))
 
 
 def commissioning_page(folder: Path) -> Path:
@@ -128,7 +130,7 @@ def commissioning_page(folder: Path) -> Path:
     """
     recording = folder / COMMISSIONING_RECORDING
     page = recording / RERUN_FILE
-    sources = [recording / FRAMES_FILE, folder / COMMISSIONING_FIGURES]
+    sources = [recording / FRAMES_FILE, recording / FRAMES_LOG, folder / COMMISSIONING_FIGURES]
     newest = max((path.stat().st_mtime_ns for path in sources if path.exists()), default=0)
     if not page.exists() or page.stat().st_mtime_ns < newest:
         _write(folder, page)

@@ -16,7 +16,7 @@ from servobench.drivers.printable import printable
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US
 from servobench.hil.recorded.judgement import Judged
 from servobench.hil.reviewing.trace.decoder import decode
-from servobench.hil.reviewing.trace.log_window import LogWindow
+from servobench.hil.reviewing.trace.frame_columns import LogWindow
 from servobench.hil.reviewing.trace.run_trace import RecordedBus
 from servobench.hil.reviewing.trace.trace_entry import TraceEntry
 from servobench.hil.rows.event_lines import read_events
@@ -153,7 +153,7 @@ class GuiltyPlace:
         return any(begin <= at_ns <= end for begin, end in self.spans)
 
     def as_json(self, zero_ns: int) -> dict[str, Any]:
-        """``zero_ns``: the first cycle as frames.log counts."""
+        """``zero_ns``: the first cycle as the stamps of frames count."""
         return {
             "begin_s": self.begin_ns / NS_PER_S,
             "end_s": self.end_ns / NS_PER_S,

@@ -1,14 +1,15 @@
 """``fault.txt`` in the folder of a run that bus or drive ended: the error, the EMCYs, and the last frames."""
 
-import os
-import re
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
+
 from servobench.drivers.canopen.nmt import Emergency, EmergencySeries, condensed
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.drivers.wire.identifiers import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_ID_MAX, REMOTE_FLAG
 from servobench.hil.recording.sealer import Sealer
 from servobench.hil.rows.frame_names import frame_name
 from servobench.hil.rows.run_files import FRAMES_FILE, SEAL_FILE
@@ -16,9 +17,6 @@ from servobench.hil.rows.run_files import FRAMES_FILE, SEAL_FILE
 FAULT_FILE = "fault.txt"
 FRAMES_MAX = 300
 EMERGENCIES_MAX = 50
-_LINE_BYTES_MAX = 320
-"""47 and the interface, whose name, of a serial adapter by its ID, may be a path of 18 and 255 letters."""
-_FRAME = re.compile(r"^\((\d+\.\d+)\) (\S+) ([0-9A-F]+)#([0-9A-F]*)")
 
 Make = tuple[int, str]
 """Vendor-ID and device name."""
@@ -38,7 +36,7 @@ def write_fault_report(
         *(_emergency(each, makes, ended_at) for each in told),
     ]
     lines += [] if told else ["  none"]
-    frames = last_frames(folder / FRAMES_FILE)
+    frames = last_frames(folder)
     lines += ["", f"The last {len(frames)} frames, in ms before the last:", *frames]
     with suppress(OSError, BadInput):
         (folder / FAULT_FILE).write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -53,24 +51,26 @@ def _emergency(each: EmergencySeries, makes: Mapping[int, Make], ended_at: Insta
     return f"  {before_ms:10.3f}  node {last.node_id}: {last.told(*makes.get(last.node_id, (0, '')))}{times}"
 
 
-def last_frames(path: Path, count: int = FRAMES_MAX) -> list[str]:
-    """The end of a candump file, each frame with its name; empty if there is none."""
+def last_frames(folder: Path, count: int = FRAMES_MAX) -> list[str]:
+    """The last frames of a recording, each with its name; empty if there are none."""
+    from servobench.hil.rows.frames_file import read_batches  # pyarrow, which no loop needs
+    from servobench.hil.rows.frames_index import indexed_batches, read_index
+
+    lying = indexed_batches(read_index(folder))
+    begin = 0
+    if lying.size:
+        first = int(np.searchsorted(lying["number"], lying["number"][-1] - count, side="right")) - 1
+        begin = int(lying["begin"][max(0, first)])
     try:
-        with path.open("rb") as file:
-            file.seek(0, os.SEEK_END)
-            file.seek(max(0, file.tell() - count * _LINE_BYTES_MAX))
-            text = file.read().decode("ascii", errors="replace")
-    except OSError:
+        frames = np.concatenate([batch.frames for batch in read_batches(folder / FRAMES_FILE, begin)])
+    except (OSError, BadInput, ValueError):
         return []
-    matches = [match for line in text.splitlines() if (match := _FRAME.match(line))][-count:]
-    if not matches:
-        return []
-    end_s = float(matches[-1][1])
-    return [_frame(match, end_s) for match in matches]
+    return [_frame(row, int(frames["at"][-1])) for row in frames[-count:]]
 
 
-def _frame(match: re.Match[str], end_s: float) -> str:
-    digits = match[4]
-    data = bytes.fromhex(digits) if len(digits) % 2 == 0 else b""
-    name = frame_name(int(match[3], 16), data)
-    return f"  {(end_s - float(match[1])) * 1e3:10.3f}  {match[3]}#{digits:<16}  {name}"
+def _frame(row: np.void, end_ns: int) -> str:
+    can_id, digits = int(row["can_id"]), 8 if row["can_id"] & EXTENDED_FLAG else 3
+    data = b"" if can_id & REMOTE_FLAG else row["data"].tobytes()[: row["length"]]
+    can_id &= EXTENDED_ID_MAX | ERROR_FLAG
+    text = f"{can_id:0{digits}X}#{data.hex().upper():<16}"
+    return f"  {(end_ns - int(row['at'])) / NS_PER_MS:10.3f}  {text}  {frame_name(can_id, data)}"

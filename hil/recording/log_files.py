@@ -18,6 +18,7 @@ from servobench.hil.reviewing.network_meter import clocks_of
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.event_lines import event_json
 from servobench.hil.rows.frame_order import FrameOrder
+from servobench.hil.rows.frames_file import BATCH_FRAMES
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.hil.rows.records_file import RecordsWriter
@@ -136,49 +137,46 @@ class RecordsKeeper(Keeper):
 
 
 class FramesKeeper(Keeper):
-    """frames.log, and what stands beside it of each frame.
+    """frames.arrow and its index, and what is not yet in them.
 
     In simulated time the stamps count from the first cycle, so the frames before it wait until that is known.
     """
 
     name = FRAMES_FILE
 
-    def __init__(
-        self, plan: RecordingPlan, folder: Path, zero: RunZero | None = None, *, fresh: bool = True
-    ) -> None:
-        """``zero``: the first cycle, if it is known; not ``fresh``: the files go on behind what they have."""
+    def __init__(self, plan: RecordingPlan, folder: Path) -> None:
         self._plan = plan
-        self._files = FrameFiles(plan, folder, fresh=fresh)
-        self._tail = Tail(folder / FRAMES_TAIL_FILE, FRAME_DTYPE) if fresh else None
-        self._order = FrameOrder(1 + len(plan.segments))
-        self._zero = zero or RunZero(plan.started_at)
-        self._early = np.empty(0, FRAME_DTYPE)
+        self._files = FrameFiles(folder, plan.interfaces)
+        self._tail = Tail(folder / FRAMES_TAIL_FILE, FRAME_DTYPE)
+        self._order = FrameOrder(len(plan.interfaces))
+        self._zero = RunZero(plan.started_at)
+        self._waiting = np.empty(0, FRAME_DTYPE)
+        """In order, for a batch or for the first cycle."""
 
     def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
         self._zero.look(events)
-        ready = np.concatenate((self._early, self._order.take(frames)))
-        if self._tail is not None:
-            self._tail.restart(self._files.written, np.concatenate((ready, self._order.held)))
-        if self._plan.wall_offset is None and not self._zero.told:
-            self._early = ready
-        else:
-            self._write(ready)
+        if not frames.size:
+            return
+        self._waiting = np.concatenate((self._waiting, self._order.take(frames)))
+        self._tail.restart(self._files.written, np.concatenate((self._waiting, self._order.held)))
+        if self._waiting.size >= BATCH_FRAMES:
+            self.flush()
 
-    def write_rest(self) -> None:
-        """Nothing comes any more. Error: OSError."""
-        self._write(np.concatenate((self._early, self._order.rest())))
+    def flush(self) -> None:
+        if self._plan.wall_offset is not None or self._zero.told:
+            self._write()
 
     def finish(self, summary: Summary) -> None:  # noqa: ARG002
-        self.write_rest()
+        self._waiting = np.concatenate((self._waiting, self._order.rest()))
+        self._write()
         self._files.close()
-        if self._tail is not None:
-            self._tail.remove()
+        self._tail.remove()
         if self._order.late:
             raise OSError(f"{self._order.late} frames came too late to be put in their place of time")
 
-    def _write(self, frames: NDArray[np.void]) -> None:
-        self._early = frames[:0]
-        self._files.write(frames, self._zero.at)
+    def _write(self) -> None:
+        self._files.write(self._waiting, self._plan.stamp_offset(self._zero.at))
+        self._waiting = self._waiting[:0]
 
 
 class EventsKeeper(Keeper):

@@ -27,12 +27,12 @@ from servobench.hil.recording.run_folder import Reserve, write_summary
 from servobench.hil.recording.sealer import Sealer
 from servobench.hil.recording.whole_records import whole_records
 from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.frames_file import finish_frames
 from servobench.hil.rows.injected_faults import InjectedFaults
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.hil.rows.run_files import (
     BENCH_FILE,
-    DIRECTIONS_FILE,
     EVENTS_FILE,
     FRAMES_FILE,
     INDEX_FILE,
@@ -55,7 +55,7 @@ _FLUSH_PERIOD_NS = NS_PER_S
 _BUSY_ROWS = 2_000
 """A drain that finds more than this is followed by the next one at once: simulated time is fast."""
 _GROWING = (
-    BENCH_FILE, RECORDS_FILE, EVENTS_FILE, DIRECTIONS_FILE, FRAMES_FILE, INDEX_FILE, FAULTS_FILE, LOAD_FILE,
+    BENCH_FILE, RECORDS_FILE, EVENTS_FILE, FRAMES_FILE, INDEX_FILE, FAULTS_FILE, LOAD_FILE,
 )  # fmt: skip
 """Files that are sealed while they grow; the others are written at the end."""
 _WRITER_DIED = RunOutcome(completed=False, reason="the process of the loop died")
@@ -195,6 +195,9 @@ class Logger:
             with suppress(OSError):  # that it is incomplete is told already
                 for fault in whole_records(self._plan, folder):
                     self._note(fault)
+        if any(fault.startswith(FRAMES_FILE) for fault in self._faults):
+            with suppress(OSError):
+                finish_frames(folder / FRAMES_FILE)
 
     def _end_summary(self, folder: Path, outcome: RunOutcome) -> None:
         if self._reserve is not None:

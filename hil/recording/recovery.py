@@ -20,27 +20,28 @@ from servobench.drivers.errors import BadInput
 from servobench.hil.machine.extras import is_installed
 from servobench.hil.recording.append_file import AppendFile
 from servobench.hil.recording.faults_file import FaultEntries
-from servobench.hil.recording.log_files import EventsKeeper, FaultsKeeper, FramesKeeper, NetworkKeeper
+from servobench.hil.recording.frame_files import append_frames
+from servobench.hil.recording.log_files import EventsKeeper, FaultsKeeper, NetworkKeeper
 from servobench.hil.recording.run_folder import Reserve, write_summary
 from servobench.hil.recording.sealer import Sealer
 from servobench.hil.recording.tail import FRAMES_TAIL_FILE, read_tail
 from servobench.hil.recording.whole_records import Rings, first_cycle, whole_records
 from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.frame_order import FrameOrder
+from servobench.hil.rows.frames_file import read_batches
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records import ROW_DTYPE
 from servobench.hil.rows.records_file import read_metadata, read_records
 from servobench.hil.rows.run_files import (
-    DIRECTION_BYTES,
-    DIRECTIONS_FILE,
     EVENTS_FILE,
-    FORMAT,
     FRAMES_FILE,
+    FRAMES_LOG,
     LOAD_FILE,
     RECORDS_FILE,
     RERUN_FILE,
     SEAL_FILE,
 )
-from servobench.hil.rows.seal import RECOVERED
+from servobench.hil.rows.seal import RECOVERED, has_seal
 from servobench.hil.rows.side_rows import FRAME_DTYPE, BeginEvent, RunEvent
 from servobench.hil.verdict.plain_values import from_plain
 from servobench.hil.verdict.summary import Summary, summarise
@@ -65,10 +66,9 @@ def recover(
     folder = plan.folder
     assert folder is not None
     reserve = Reserve(folder)
-    for name in (FRAMES_FILE, DIRECTIONS_FILE, EVENTS_FILE, LOAD_FILE, FAULTS_FILE):
+    for name in (EVENTS_FILE, LOAD_FILE, FAULTS_FILE):
         if (folder / name).exists():
             AppendFile(folder / name, fresh=False).close()
-    _as_many_directions(folder)
     told = [*faults]
     if plan.frames:
         told += _keep_frames(plan, folder, rings)
@@ -88,7 +88,7 @@ def recover(
     def summed_up() -> Summary:
         return summarise(figures, outcome, plan.review.limits, str(folder), plan.seed, tuple(told))
 
-    if not (folder / SEAL_FILE).exists() and read_metadata(folder / RECORDS_FILE).get("format") == FORMAT:
+    if not (folder / SEAL_FILE).exists() and has_seal(read_metadata(folder / RECORDS_FILE)):
         told.append(_NO_SEAL)
     reserve.release()
     if network is not None:
@@ -154,28 +154,21 @@ def _keep_faults(plan: RecordingPlan, folder: Path, rings: Rings) -> list[str]:
 
 def _keep_frames(plan: RecordingPlan, folder: Path, rings: Rings | None) -> list[str]:
     """Frames that the logger had not written, and those that it had not taken; why some are missing."""
-    tail, frames = folder / FRAMES_TAIL_FILE, folder / FRAMES_FILE
-    stored = frames.read_bytes().count(b"\n") if frames.exists() else 0
-    held = read_tail(tail, FRAME_DTYPE, stored)
+    path, tail = folder / FRAMES_FILE, folder / FRAMES_TAIL_FILE
+    if (folder / FRAMES_LOG).exists() and not path.exists():
+        return []  # of an earlier format, whose lines are whole
+    zero = first_cycle(plan, folder / RECORDS_FILE, rings)
     try:
-        keeper = FramesKeeper(plan, folder, first_cycle(plan, folder / RECORDS_FILE, rings), fresh=False)
-        keeper.take(
-            np.empty(0, ROW_DTYPE), held if rings is None else np.concatenate((held, rings.frames)), []
-        )
-        keeper.write_rest()
+        stored = sum(batch.frames.size for batch in read_batches(path)) if path.exists() else 0
+        held = read_tail(tail, FRAME_DTYPE, stored)
+        more = held if rings is None else np.concatenate((held, rings.frames))
+        order = FrameOrder(len(plan.interfaces))
+        ready = np.concatenate((order.take(more), order.rest()))
+        append_frames(path, plan.interfaces, ready, plan.stamp_offset(zero.at))
     except OSError as error:
         return [f"{FRAMES_FILE} ends before the run: {error.strerror}"]
     tail.unlink(missing_ok=True)
     return []
-
-
-def _as_many_directions(folder: Path) -> None:
-    """A frame's direction is written before the frame: what is beyond the last frame goes."""
-    frames, directions = folder / FRAMES_FILE, folder / DIRECTIONS_FILE
-    if frames.exists() and directions.exists():
-        with frames.open("rb") as lines:
-            count = sum(1 for _ in lines)
-        os.truncate(directions, count * DIRECTION_BYTES)
 
 
 def _counts_from_the_first_cycle(events: Path) -> bool:

@@ -23,6 +23,8 @@ from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_S
 from servobench.drivers.written_file import written
 from servobench.hil.reviewing.export_format import ExportFormat
+from servobench.hil.reviewing.frames_export import OF_FRAMES, export_frames
+from servobench.hil.rows.frames_file import frames_schema
 from servobench.hil.rows.records import NOTHING, Column
 from servobench.hil.rows.records_file import (
     check_records,
@@ -31,8 +33,8 @@ from servobench.hil.rows.records_file import (
     is_whole,
     refuse_later_format,
 )
-from servobench.hil.rows.run_files import RECORDS_FILE, not_a_recording
-from servobench.hil.rows.seal import NOT_CHECKED, check_seal
+from servobench.hil.rows.run_files import FRAMES_FILE, RECORDS_FILE, not_a_recording
+from servobench.hil.rows.seal import NOT_CHECKED, SEALED, check_seal, seal_of
 
 CHUNK_ROWS: Final = 1 << 17
 """Rows that are held at once: some 40 MB with all columns, and enough for a row group of Parquet."""
@@ -102,12 +104,14 @@ class Exported(NamedTuple):
 def export_run(
     run: Path, wanted: ExportFormat, out: Path | None = None, *, unsealed: bool = False
 ) -> Exported:
-    """Write the rows of ``run`` to ``out``, by default records.ENDING in its folder; ``unsealed``: whether or
-    not its files are as they were recorded.
+    """Write the rows of ``run`` to ``out``, by default records.ENDING in its folder, or its frames, by
+    default frames.ENDING; ``unsealed``: whether or not its files are as they were recorded.
 
     The file is there as a whole or not at all; what is no regular file gets its content. Raises BadInput or
     DiskFull.
     """
+    if wanted in OF_FRAMES:
+        return _export_frames(run, wanted, out, unsealed=unsealed)
     rows = RecordedRows(run, unsealed=unsealed)
     path = out or run / f"records.{wanted.value}"
     with written("--out", path, f".{wanted.value}") as part, damage_told(rows.path):
@@ -116,6 +120,17 @@ def export_run(
     with damage_told(rows.path):
         count = sum(chunk.num_rows for chunk in rows.chunks([_AXIS]))
     return Exported(str(path), count, len(rows.columns), size, rows.seal)
+
+
+def _export_frames(run: Path, wanted: ExportFormat, out: Path | None, *, unsealed: bool) -> Exported:
+    if not run.is_dir():
+        raise not_a_recording(run, FRAMES_FILE)
+    seal = seal_of(run, unsealed=unsealed)
+    path = out or run / f"frames.{wanted.value}"
+    with written("--out", path, f".{wanted.value}") as part:
+        count = export_frames(run, wanted, part)
+        size = part.stat().st_size
+    return Exported(str(path), count, len(frames_schema(())), size, seal or SEALED)
 
 
 # ---- CSV and Parquet ----------------------------------------------------------------------------------

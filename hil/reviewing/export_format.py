@@ -10,3 +10,8 @@ class ExportFormat(StrEnum):
     PARQUET = "parquet"
     MF4 = "mf4"
     MAT = "mat"
+    LOG = "log"
+    """The frames as candump -L writes them."""
+    ASC = "asc"
+    BLF = "blf"
+    PCAP = "pcap"

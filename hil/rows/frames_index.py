@@ -1,8 +1,9 @@
-"""Index of the frames in frames.log on which others depend, to read a window without the rest.
+"""Index of the frames on which others depend, to read a window without the rest.
 
 The meaning of a frame depends on earlier SDO transfers, on whether its node was heard before, and on node
-guarding. The file ``frames.index`` holds, in the order of the log, a row of :data:`INDEX_DTYPE` for each such
-line, and one at the end of what was written at once. What lies behind its last row is not in it.
+guarding. The file ``frames.index`` holds, in the order of frames.arrow, a row of :data:`INDEX_DTYPE` for each
+such frame, with the frame itself, and before those of a batch one that says where it lies. What lies behind
+its last batch is not in it.
 """
 
 from pathlib import Path
@@ -15,11 +16,17 @@ from servobench.drivers.canopen.cob_ids import ERROR_CONTROL, NODE_BITS, SDO_ANS
 from servobench.drivers.wire.identifiers import REMOTE_FLAG, STANDARD_ID_MAX
 from servobench.hil.rows.run_files import INDEX_FILE
 
-INDEX_DTYPE: Final = np.dtype([("begin", "<i8"), ("line", "<i8"), ("can_id", "<u4"), ("segment", "<u4")])
-"""``begin``: byte of the log at which the line begins; ``line``: its number, from 1 on."""
-BORDER: Final = 0xFFFF_FFFF
-"""In place of an identifier: the line is where a block of frames ended, and the next one begins."""
-_NEWLINE: Final = ord("\n")
+INDEX_DTYPE: Final = np.dtype(
+    [
+        ("number", "<i8"), ("begin", "<i8"), ("at", "<i8"), ("can_id", "<u4"),
+        ("length", "u1"), ("sent", "u1"), ("data", "u1", (8,)),
+    ]
+)  # fmt: skip
+"""``number``: of the frame, from 1 on; ``begin``: byte of frames.arrow at which its batch begins; the frame
+as in FRAME_DTYPE, ``at`` ns since 1970."""
+BATCH: Final = 0xFFFF_FFFF
+"""In place of an identifier: here a batch begins, whose first frame has this number and stamp."""
+_FRAME: Final = ("at", "can_id", "length", "sent", "data")
 _SDO: Final = np.zeros(STANDARD_ID_MAX + 1, np.bool_)
 """By identifier."""
 for _service in (SDO_ANSWER, SDO_REQUEST):
@@ -46,69 +53,87 @@ class TellingFrames:
 
 
 class FramesIndex:
-    """Makes the rows of the index as frames.log grows."""
+    """Makes the rows of the index as frames.arrow grows."""
 
     def __init__(self, segments: int) -> None:
         """``segments``: how many there are."""
         self._telling = [TellingFrames(first=True) for _ in range(segments)]
-        self._bytes = 0
-        self._lines = 0
+        self._count = 0
 
-    def rows(self, frames: NDArray[np.void], lines: bytes) -> NDArray[np.void]:
-        """Return index rows. ``frames``: (n,) of FRAME_DTYPE, whose n ``lines`` were appended to the previous
-        ones."""
-        begins = np.append(0, np.flatnonzero(np.frombuffer(lines, np.uint8) == _NEWLINE) + 1)
-        can_ids, segments = frames["can_id"].astype(np.int64), frames["sent"] >> 1
-        remote = (can_ids & REMOTE_FLAG) != 0
-        plain = can_ids & ~REMOTE_FLAG
-        ids = np.where(plain <= STANDARD_ID_MAX, plain, 0)
-        places = [np.array([frames.size])]
+    def know(self, rows: NDArray[np.void], count: int) -> None:
+        """Go on behind an index of ``count`` frames."""
+        told = rows[rows["can_id"] != BATCH]
+        for number, telling in enumerate(self._telling):
+            mine = told["can_id"][told["sent"] >> 1 == number]
+            telling.of(_standard(mine), (mine & REMOTE_FLAG) != 0)
+        self._count = count
+
+    def rows(self, frames: NDArray[np.void], begin: int, offset: int = 0) -> NDArray[np.void]:
+        """Return the index rows of the next batch, (n,) of FRAME_DTYPE, at byte ``begin``; ``offset``: what
+        makes their instants stamps."""
+        if not frames.size:
+            return np.empty(0, INDEX_DTYPE)
+        ids, segments = _standard(frames["can_id"]), frames["sent"] >> 1
+        remote = (frames["can_id"] & REMOTE_FLAG) != 0
+        places = []
         for number, telling in enumerate(self._telling):
             mine = np.flatnonzero(segments == number)
             places.append(mine[telling.of(ids[mine], remote[mine])])
         place = np.sort(np.concatenate(places))
-        rows = np.empty(place.size, INDEX_DTYPE)
-        rows["begin"] = self._bytes + begins[place]
-        rows["line"] = self._lines + 1 + place
-        rows["can_id"] = np.append(ids, BORDER)[place]
-        rows["segment"] = np.append(segments, 0)[place]
-        self._bytes += len(lines)
-        self._lines += frames.size
+        rows = np.empty(1 + place.size, INDEX_DTYPE)
+        place = np.append(0, place)
+        for name in _FRAME:
+            rows[name] = frames[name][place]
+        rows["number"] = self._count + 1 + place
+        rows["begin"] = begin
+        rows["at"] += offset
+        rows["can_id"][0] = BATCH
+        self._count += frames.size
         return rows
 
 
-def read_index(folder: Path, log_bytes: int) -> NDArray[np.void]:
-    """Read the index of a recording, as far as it goes and fits its log; empty without one."""
+def _standard(can_ids: NDArray[np.void]) -> NDArray[np.int64]:
+    """Standard identifiers, 0 in place of others."""
+    plain = can_ids.astype(np.int64) & ~REMOTE_FLAG
+    return np.where(plain <= STANDARD_ID_MAX, plain, 0)
+
+
+def read_index(folder: Path) -> NDArray[np.void]:
+    """Read the index of a recording, as far as it goes; empty without one, and where it cannot be one."""
     path = folder / INDEX_FILE
     if not path.is_file():
         return np.empty(0, INDEX_DTYPE)
     with path.open("rb") as file:
         whole = path.stat().st_size // INDEX_DTYPE.itemsize * INDEX_DTYPE.itemsize
         rows = np.frombuffer(file.read(whole), INDEX_DTYPE)
-    borders = np.flatnonzero(rows["can_id"] == BORDER)
-    rows = rows[: int(borders[-1]) + 1 if borders.size else 0]
-    begins = rows["begin"]
-    if rows.size and (begins[0] < 0 or begins[-1] > log_bytes or np.any(np.diff(begins) < 0)):
+    if rows.size and (rows["can_id"][0] != BATCH or np.any(np.diff(rows["begin"]) < 0)):
         return rows[:0]
     return rows
 
 
-def needed_before(rows: NDArray[np.void], begin: int) -> NDArray[np.void]:
-    """Return the rows of lines before byte ``begin`` on which later ones depend.
+def indexed_batches(rows: NDArray[np.void]) -> NDArray[np.void]:
+    """Return the rows that tell where a batch lies."""
+    batches: NDArray[np.void] = rows[rows["can_id"] == BATCH]
+    return batches
+
+
+def needed_before(rows: NDArray[np.void], number: int) -> NDArray[np.void]:
+    """Return those of frames before ``number`` on which later ones depend.
 
     Of node guarding only the last frame of a node counts, and the first one, which tells that it is there.
     """
-    told = rows[(rows["begin"] < begin) & (rows["can_id"] != BORDER)]
-    keys = told["can_id"].astype(np.int64) | told["segment"].astype(np.int64) << 32
-    wanted = _SDO[told["can_id"]]
+    told = rows[(rows["number"] < number) & (rows["can_id"] != BATCH)]
+    ids = _standard(told["can_id"])
+    keys = ids | (told["sent"].astype(np.int64) >> 1) << 32
+    wanted = _SDO[ids]
     wanted[np.unique(keys, return_index=True)[1]] = True
     wanted[told.size - 1 - np.unique(keys[::-1], return_index=True)[1]] = True
     needed: NDArray[np.void] = told[wanted]
     return needed
 
 
-def needed_behind(rows: NDArray[np.void], end: int) -> NDArray[np.void]:
-    """Return the rows of lines from byte ``end`` on in which an earlier SDO transfer may end."""
-    told = rows[(rows["begin"] >= end) & (rows["can_id"] != BORDER)]
-    needed: NDArray[np.void] = told[_SDO[told["can_id"]]]
+def needed_behind(rows: NDArray[np.void], number: int) -> NDArray[np.void]:
+    """Return those of frames from ``number`` on in which an earlier SDO transfer may end."""
+    told = rows[(rows["number"] >= number) & (rows["can_id"] != BATCH)]
+    needed: NDArray[np.void] = told[_SDO[_standard(told["can_id"])]]
     return needed

@@ -15,8 +15,8 @@ SETTLING = Duration(250_000_000)
 SETTLING_BAND_PERCENT = 2.0
 """Default of ``verdict.settling_band_percent``: the usual one of step responses."""
 SIMULATED_EPOCH = 1_000_000_000 * NS_PER_S
-"""Time of a simulated run's first cycle in frames.log, ns since 1970: in September 2001, so that no stamp is
-mistaken for a real one, and run times can be read directly."""
+"""Time of a simulated run's first cycle in stamps of frames, ns since 1970: in September 2001, so that none
+is mistaken for a real one, and run times can be read directly."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +141,7 @@ class RecordingPlan:
     """Name of the bench, for titles."""
     seed: int
     bus: str
-    """Bus spec; its last part is the interface name of frames.log."""
+    """Bus spec; its last part is the interface name of the frames."""
     real_time: bool
     """True: a full ring loses rows and counts them. False: a full ring makes the writer wait."""
     deadline: Duration
@@ -152,11 +152,11 @@ class RecordingPlan:
     started_at: Instant = Instant(0)  # noqa: RUF009 - an int
     """When the recording began; the time zero of a run that comes to no cycle."""
     wall_offset: Duration | None = None
-    """Wall clock minus bench clock, for frames.log; None in simulated time."""
+    """Wall clock minus bench clock, for the stamps of frames; None in simulated time."""
     frames: bool = True
-    """True if frames.log is kept."""
+    """True if frames are kept."""
     segments: tuple[str, ...] = ()
-    """Names of the bus's further segments, used as interface names in frames.log."""
+    """Names of the bus's further segments, used as interface names of frames."""
     set_points: tuple[PlannedSetPoint, ...] = ()
     """Planned set-points of the axes; reported when they act."""
     faults: bool = False
@@ -173,6 +173,11 @@ class RecordingPlan:
     """User code of the run, by axis and key: object and digest of its file, JSON."""
     notes: Mapping[str, str] = field(default_factory=dict)
     """Shown with the verdict, e.g. {"controller": "pid"}."""
+
+    @property
+    def interfaces(self) -> tuple[str, ...]:
+        """Names of the interfaces of the frames, by segment."""
+        return self.bus.rpartition(":")[2], *self.segments
 
     def stamp_offset(self, zero: Instant) -> Duration:
         """Return epoch stamp minus bench clock, ns; ``zero``: the first cycle on the bench clock."""

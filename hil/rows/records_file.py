@@ -10,7 +10,7 @@ Instants are in run time, ns since the first cycle; unknown values are null.
 import json
 import os
 import struct
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
@@ -175,12 +175,20 @@ def finish_records(path: Path) -> int:
 
     Incomplete batches are dropped. It needs room for the footer only. Error: OSError.
     """
-    count: int = sum(batch.num_rows for batch in _batches(path))
+    finish_file(path, _schema_of(path) or records_schema({}), lambda: _batches(path))
+    return sum(batch.num_rows for batch in _batches(path))
+
+
+def finish_file(path: Path, schema: pa.Schema, batches: Callable[[], Iterable[pa.RecordBatch]]) -> None:
+    """Give a truncated Arrow file its footer; a whole one is left alone. ``batches``: its whole ones.
+
+    Error: OSError.
+    """
     if is_whole(path):
-        return count
+        return
     sink = pa.BufferOutputStream()
-    with pa.ipc.new_file(sink, _schema_of(path) or records_schema({}), options=_OPTIONS) as writer:
-        for batch in _batches(path):
+    with pa.ipc.new_file(sink, schema, options=_OPTIONS) as writer:
+        for batch in batches():
             writer.write_batch(batch)
         end = sink.tell()
     whole = sink.getvalue().to_pybytes()
@@ -189,7 +197,6 @@ def finish_records(path: Path) -> int:
         file.seek(kept)
         file.write(whole[kept:])
         file.truncate()
-    return count
 
 
 def _schema_of(path: Path) -> pa.Schema | None:
@@ -247,6 +254,11 @@ def _next_length(messages: pa.ipc.MessageReader) -> int:
     """
     while (message := messages.read_next_message()).type != "record batch":
         pass
+    return length_of_batch(message)
+
+
+def length_of_batch(message: pa.ipc.Message) -> int:
+    """Rows of a record batch, as its head tells them; -1 if that is damaged."""
     return _length_of(message.metadata.to_pybytes())
 
 

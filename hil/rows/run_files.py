@@ -5,27 +5,30 @@ from typing import Final
 
 from servobench.drivers.errors import MISSING, BadInput
 
-FORMAT: Final = "4"
+FORMAT: Final = "5"
 """Version of the run's folder in docs/recording.md; increases when a reader must know. Up to 3 a recording
-has no seal."""
+has no seal, up to 4 its frames are text."""
+UNSEALED_FORMAT_MAX: Final = 3
 
 FIRST_CYCLE = "first_cycle_bench_ns"
 """Key of the first cycle's instant on the bench clock, from which all times count."""
 BENCH_START = "bench_start_ns"
 """Start of the recording in run time."""
 FIRST_CYCLE_EPOCH = "first_cycle_epoch_ns"
-"""The same in ns since 1970: origin of the times in frames.log."""
+"""The same in ns since 1970: origin of the stamps of frames."""
 
 BENCH_FILE = "bench.toml"
 """The bench as it was run."""
-FRAMES_FILE = "frames.log"
-"""Every frame, in candump's format and in order of time."""
+FRAMES_FILE = "frames.arrow"
+"""Every frame, by column and in order of time; see :mod:`servobench.hil.rows.frames_file`."""
+FRAMES_LOG = "frames.log"
+"""The same up to format 4, in candump's format."""
 DIRECTIONS_FILE = "frames.directions"
 """A line for each of frames.log: T sent by the bench, R received by it."""
 DIRECTION_BYTES = 2
 """Bytes of such a line."""
 INDEX_FILE = "frames.index"
-"""Index of the lines in frames.log on which others depend; see :mod:`servobench.hil.rows.frames_index`."""
+"""Index of the frames on which others depend; see :mod:`servobench.hil.rows.frames_index`."""
 EVENTS_FILE = "events.jsonl"
 RECORDS_FILE = "records.arrow"
 """The rows of the cycles."""

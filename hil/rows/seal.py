@@ -16,7 +16,7 @@ that the files were recorded together; somebody who forges all of them can forge
 import json
 import re
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any, BinaryIO, Final, NamedTuple
@@ -29,12 +29,14 @@ from servobench.hil.rows.run_files import (
     EVENTS_FILE,
     FORMAT,
     FRAMES_FILE,
+    FRAMES_LOG,
     INDEX_FILE,
     LOAD_FILE,
     RECORDS_FILE,
     RERUN_FILE,
     SEAL_FILE,
     SUMMARY_FILE,
+    UNSEALED_FORMAT_MAX,
 )
 from servobench.virtual_bus.faults.fault_log import FAULTS_FILE
 
@@ -45,8 +47,8 @@ SEALED: Final = "sealed"
 NOT_CHECKED: Final = "unsealed: requested by --unsealed"
 READ: Final = frozenset(
     {
-        BENCH_FILE, RECORDS_FILE, EVENTS_FILE, FRAMES_FILE, DIRECTIONS_FILE, INDEX_FILE, FAULTS_FILE,
-        LOAD_FILE, RERUN_FILE, SUMMARY_FILE,
+        BENCH_FILE, RECORDS_FILE, EVENTS_FILE, FRAMES_FILE, FRAMES_LOG, DIRECTIONS_FILE, INDEX_FILE,
+        FAULTS_FILE, LOAD_FILE, RERUN_FILE, SUMMARY_FILE,
     }
 )  # fmt: skip
 """Files read from a recording: none of them may exist without a piece of the seal."""
@@ -54,7 +56,7 @@ ENDED: Final = "ended"
 RECOVERED: Final = "recovered"
 _DIGEST_BYTES: Final = 16
 _BLOCK_BYTES: Final = 1 << 20
-_SMALL_BYTES: Final = 1 << 22
+SMALL_BYTES: Final = 1 << 22
 """Size of a file that costs nothing to check: 5 ms."""
 _LINE: Final = re.compile(r'(\{.*), "chain": "([0-9a-f]{32})"\}\n')
 _SHOWN: Final = "--unsealed shows what can be read of it"
@@ -137,6 +139,13 @@ def _meaning(text: str) -> Piece | str:
     return ""
 
 
+def has_seal(metadata: Mapping[str, str]) -> bool:
+    """Whether a recording of this format, by the metadata of its records, was made with a seal; of a later
+    one it is not known."""
+    told = metadata.get("format", "")
+    return told.isdecimal() and UNSEALED_FORMAT_MAX < int(told) <= int(FORMAT)
+
+
 def seal_of(folder: Path, *, unsealed: bool) -> str:
     """Check the seal of any folder first; see :func:`check_seal`; ``unsealed``: skip the check.
 
@@ -179,7 +188,7 @@ class SealedFiles:
             from servobench.hil.rows.records_file import read_metadata  # pyarrow, which no loop needs
 
             records = folder / RECORDS_FILE  # who reads it refuses a later format
-            if records.is_file() and read_metadata(records).get("format") != FORMAT:
+            if records.is_file() and not has_seal(read_metadata(records)):
                 self.told = OLDER
                 return
             raise BadInput(str(folder), "", f"no file {SEAL_FILE}", "a recording with its seal", _SHOWN)
@@ -210,7 +219,7 @@ class SealedFiles:
     def check_small(self) -> None:
         """Check the small files; of each longer one its length, as the rest is checked where it is read."""
         for name, pieces in self._pieces.items():
-            if pieces[-1].end <= _SMALL_BYTES:
+            if pieces[-1].end <= SMALL_BYTES:
                 self.check(name)
             self._check_length(name)
 

@@ -87,25 +87,25 @@ def _read(
 ) -> None:  # fmt: skip
     from servobench.hil.reviewing.trace.bus_log import KINDS, BusLog
     from servobench.hil.reviewing.trace.decoder import decode
-    from servobench.hil.reviewing.trace.log_window import EVER_NS
+    from servobench.hil.reviewing.trace.frame_columns import EVER_NS
     from servobench.hil.reviewing.trace.node_objects import KnownNodes
 
-    end_ns = EVER_NS
     if source.is_dir():
         run, frames, end_ns = _recorded(source, selection, unsealed)
-        log, zero_ns, known = run.log, run.zero_ns, run.known(sheets)
+        notes, zero_ns, known = run.log.notes, run.zero_ns, run.known(sheets)
         for note in run.notes:
             say(f"hil: note: {note}")
+        first = next(frames, None)
     else:
-        log = BusLog(source, differences)
-        known, frames, zero_ns = KnownNodes(sheets), iter(log), None
-    if (first := next(frames, None)) is not None:
+        log, end_ns = BusLog(source, differences), EVER_NS
+        notes, known, frames, zero_ns = log.notes, KnownNodes(sheets), iter(log), None
+        if (first := next(frames, None)) is None:
+            raise BadInput(str(source), "", log.first_malformed or log.damage or "no frame", KINDS)
+    if first is not None:
         zero_ns = first.at_ns if zero_ns is None else zero_ns
         entries = decode(chain((first,), frames), known, end_ns)
         _print(selection, entries, zero_ns or 0, as_json)
-    elif not source.is_dir():
-        raise BadInput(str(source), "", log.first_malformed or log.damage or "no frame", KINDS)
-    for note in log.notes():
+    for note in notes():
         say(f"hil: note: {source}: {note}")
 
 
@@ -113,7 +113,7 @@ def _recorded(
     folder: Path, selection: "TraceSelection", unsealed: bool
 ) -> "tuple[RecordedBus, Iterator[LogFrame], int]":
     """Return the bus of a recording, the selected frames, and the instant of the last one."""
-    from servobench.hil.reviewing.trace.log_window import EVER_NS
+    from servobench.hil.reviewing.trace.frame_columns import EVER_NS
     from servobench.hil.reviewing.trace.run_trace import RecordedBus
     from servobench.hil.rows.run_files import RECORDS_FILE
     from servobench.hil.rows.seal import SealedFiles, is_recording

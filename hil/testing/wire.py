@@ -26,9 +26,10 @@ from servobench.drivers.timebase import NS_PER_S, Instant
 from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.configuration.config_checks import standard_plan
 from servobench.hil.execution.drives import data_sheets
+from servobench.hil.reviewing.trace.bus_log import BusLog
 from servobench.hil.reviewing.trace.run_trace import RecordedBus
 from servobench.hil.rows.frame_names import frame_name
-from servobench.hil.rows.run_files import FRAMES_FILE
+from servobench.hil.rows.run_files import FRAMES_LOG
 from servobench.hil.verdict.arguments import checked
 
 __tracebackhide__ = True
@@ -232,8 +233,8 @@ def read_wire(folder: Path) -> Wire:
         )
         for frame in bus
     ]
-    if bus.log.malformed:
-        raise ValueError(f"{folder / FRAMES_FILE}: no line of a candump log: {bus.log.first_malformed}")
+    if isinstance(bus.log, BusLog) and bus.log.malformed:
+        raise ValueError(f"{folder / FRAMES_LOG}: no line of a candump log: {bus.log.first_malformed}")
     return Wire(frames=frames, recording=folder)
 
 

@@ -78,7 +78,7 @@ def _bench(folder: Path) -> Path:
 def _run(bench: Path, case: str, folder: Path) -> Figures:
     options = [] if case == "none" else ["--view"]
     process = start_run(bench, hub_name("viewer"), folder, *options)
-    while not (folder / "frames.log").exists():
+    while not (folder / "frames.arrow").exists():
         _sleep(0.05)
     loop, logger = loop_of(process.pid), logger_of(process.pid)
     with _viewer(case, logger):

@@ -58,7 +58,7 @@ def test_a_run_through_a_short_queue(channel: str, tmp_path: Path) -> None:
     assert sum(ran["dropouts"].values()) < CYCLES
     assert [drive["after_last_cycle"] for drive in ran["drives"]] == ["operation enabled"]
     assert ran["drives"][0]["at_rest"] is True
-    assert (folder / "frames.log").stat().st_size > 0
+    assert (folder / "frames.arrow").stat().st_size > 0
 
 
 @pytest.mark.long

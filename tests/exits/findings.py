@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from typing import Final
 
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration
-from servobench.hil.rows.run_files import EVENTS_FILE, FRAMES_FILE
+from servobench.hil.rows.run_files import EVENTS_FILE
 from tests.exits.cells import BROKER, DRIVE, HOST, HUB, KILL, RUNNING
 from tests.exits.one_run import STOPPED_NS, Ended
 from tests.swarm.following import the_shafts_are_at_rest_at_the_end
@@ -48,7 +48,7 @@ def little_is_lost(ended: Ended) -> Iterator[str]:
 
 def lines_are_whole(ended: Ended) -> Iterator[str]:
     """Of what is written line by line."""
-    for name in (EVENTS_FILE, FRAMES_FILE):
+    for name in (EVENTS_FILE,):
         path = ended.ran.folder / name
         if path.exists() and path.read_bytes()[-1:] not in (b"", b"\n"):
             yield f"{name} ends in the middle of a line"

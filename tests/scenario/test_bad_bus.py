@@ -32,6 +32,7 @@ from servobench.virtual_bus.frame import Frame
 from servobench.virtual_bus.hosting.devices import AttachedDevice
 from servobench.virtual_bus.timeline import SimulatedClock, Timeline
 from tests.motors import LING
+from tests.recorded_frames import candump
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PERIOD = Duration(NS_PER_MS)
@@ -213,7 +214,7 @@ def test_a_run_whose_host_goes_bus_off_ends_with_exit_status_3(tmp_path: Path) -
     result = CliRunner().invoke(app, ["run", str(bench_file(tmp_path, str(faults))), "--record", str(record)])
     assert result.exit_code == 3
     assert "the controller is bus-off" in result.output
-    messages = [*can.CanutilsLogReader(str(record / "frames.log"))]
+    messages = [*can.CanutilsLogReader(candump(record))]
     errors = sum(message.is_error_frame for message in messages)
     assert 256 // 8 <= errors < 40  # an error in the arbitration field may count nothing (rule 3)
     events = [json.loads(line) for line in (record / "events.jsonl").read_text().splitlines()]

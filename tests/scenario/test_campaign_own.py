@@ -85,7 +85,7 @@ def test_the_first_with_findings_is_recorded_and_replayed(done: Campaign, tmp_pa
     again = Campaign.load(done.folder).replay(2, tmp_path / "again")
     assert again.findings == done.found[2], "the check looks at the recording"
     assert again.summary.digest == done.column("digest")[2]
-    assert (tmp_path / "again" / "frames.log").exists()
+    assert (tmp_path / "again" / "frames.arrow").exists()
 
 
 def test_workers_and_an_end_on_the_way_change_nothing(done: Campaign, tmp_path: Path) -> None:

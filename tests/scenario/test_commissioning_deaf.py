@@ -14,8 +14,9 @@ from servobench.drivers.timebase import NS_PER_S
 from servobench.hil.commissioning.findings import StepVerdict
 from servobench.hil.commissioning.report import REPORT_FILE, Commissioned
 from servobench.hil.rows.recording_plan import SIMULATED_EPOCH
-from servobench.hil.rows.run_files import COMMISSIONING_RECORDING, EVENTS_FILE, FRAMES_FILE
+from servobench.hil.rows.run_files import COMMISSIONING_RECORDING, EVENTS_FILE
 from tests.commissioning import Spy, unknown_world
+from tests.recorded_frames import candump_text
 
 SEED = 3
 DEAF = "no longer follows its commands"
@@ -61,7 +62,7 @@ def noticed_s(folder: Path, step: str) -> float:
 def moved_at_s(folder: Path, from_s: float) -> float:
     """When the set-point on the bus had moved by more than MARGIN_RAW since ``from_s``."""
     first = None
-    for line in (folder / COMMISSIONING_RECORDING / FRAMES_FILE).read_text().splitlines():
+    for line in candump_text(folder / COMMISSIONING_RECORDING).splitlines():
         stamp, _, frame = line.split()[:3]
         at_s = float(stamp.strip("()")) - SIMULATED_EPOCH / NS_PER_S
         if at_s > from_s and frame.startswith(RPDO):

@@ -17,9 +17,10 @@ from servobench.hil.commissioning.sequence import Step
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps import all_steps
 from servobench.hil.execution.world import WorldPlan, open_world
-from servobench.hil.rows.run_files import COMMISSIONING_RECORDING, EVENTS_FILE, FRAMES_FILE
+from servobench.hil.rows.run_files import COMMISSIONING_RECORDING, EVENTS_FILE
 from servobench.virtual_bus.drive.unknown_drive import unknown_drive
 from tests.commissioning import WrappedStep, unknown_world
+from tests.recorded_frames import candump_text
 
 SEED = 3
 IN_POLARITY_S = 2.6
@@ -80,7 +81,7 @@ def test_emcys_without_end_are_a_line_with_the_first_and_one_with_their_number(t
     faults = {"repeated_emergency": [fault]}
     unknown_world(SEED, tmp_path, faults=faults, last_step="polarity", tell=told.append)
     recording = tmp_path / COMMISSIONING_RECORDING
-    times = (recording / FRAMES_FILE).read_text().count(" 081#1023")
+    times = candump_text(recording).count(" 081#1023")
     assert times > 100
     lines = [text.strip() for text in told if "2310h" in text]
     assert lines == [lines[0], f"drive: EMCY 2310h: {times} times in all"]

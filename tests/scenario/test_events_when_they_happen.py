@@ -18,6 +18,7 @@ from servobench.hil.rows.run_files import EVENTS_FILE
 from servobench.hil.rows.side_rows import StateEvent, TextEvent
 from servobench.hil.testing.bench_runs import BenchRunner
 from servobench.hil.testing.run import Run
+from tests.recorded_frames import candump_text
 from tests.scenario.processes import EXAMPLES
 
 LING2012 = EXAMPLES / "ling2012.toml"
@@ -151,4 +152,4 @@ def test_every_file_counts_from_the_first_cycle(servo_bench: BenchRunner) -> Non
     assert readings, "some were lost"
     for entry in readings[:20]:
         assert min(abs(dropped - entry["at_ns"])) < NS_PER_MS
-    assert (run.folder / "frames.log").read_text().startswith("(0999999999."), "before the first cycle"
+    assert candump_text(run.folder).startswith("(0999999999."), "before the first cycle"

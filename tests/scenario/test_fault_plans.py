@@ -15,6 +15,7 @@ from servobench.hil.execution.bench import run_bench
 from servobench.hil.pytest_plugin import StartDrive
 from servobench.hil.testing.bench_runs import BenchRunner
 from servobench.hil.testing.run import Run
+from tests.recorded_frames import candump_text
 from tests.scenario.processes import EXAMPLES
 
 BENCH = EXAMPLES / "ling2012.toml"
@@ -90,7 +91,7 @@ def test_a_repeated_emergency_is_told_once_with_how_often_it_came(
     plan = tmp_path / "plan.toml"
     plan.write_text("[[repeated_emergency]]\nat_s = 0.1\ncode = 0x2310\nperiod_ms = 5\nduration_s = 0.2\n")
     run = servo_bench(BENCH, faults=plan)
-    sent = (run.folder / "frames.log").read_text().count(" 081#1023")
+    sent = candump_text(run.folder).count(" 081#1023")
     assert sent == pytest.approx(40, abs=2)
     (finding,) = [each for each in run.summary.verdict.findings if "EMCY" in each.text]
     assert re.search(rf"EMCY 2310h .* at 0\.10\d s, {sent} times until 0\.29\d s", finding.text)

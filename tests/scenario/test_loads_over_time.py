@@ -11,6 +11,7 @@ from pyarrow import parquet
 
 from servobench import Bench, Run, run
 from servobench.drivers.errors import BadInput
+from tests.recorded_frames import candump_text
 from tests.scenario.processes import EXAMPLES, hub_name, run_command, simulated_drive
 from tests.warm.start import hil
 
@@ -44,7 +45,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 def test_no_frame_carries_it(recorded: Run) -> None:
     """SDO requests to node 1 from the first cycle to the last, by the recorded frames alone."""
-    lines = re.findall(r"\(([\d.]+)\) \S+ 601#(\w+)", (recorded.folder / "frames.log").read_text())
+    lines = re.findall(r"\(([\d.]+)\) \S+ 601#(\w+)", candump_text(recorded.folder))
     asked = [data for at, data in lines if 0.0 < float(at) - 1e9 < 0.8]
     assert not [data for data in asked if data[2:6] == "0021"]
     before = [data for at, data in lines if float(at) - 1e9 <= 0.0 and data[2:8] == "002103"]
@@ -154,7 +155,7 @@ class TestInAnotherProcess:
         with simulated_drive(bus, "--load", f"1={path}"):
             code, _, said = self.run_on(bus, tmp_path)
         assert code in (0, 6), said  # a machine that is late is judged elsewhere
-        lines = (tmp_path / "run" / "frames.log").read_text()
+        lines = candump_text(tmp_path / "run")
         assert re.findall(r" 601#2F002103(..)", lines) == ["00", "01", "00"], "taken off, begun, taken off"
         told = Run(bench([]).config, tmp_path / "run")
         error = told.axis().reference_rad_s - told.column("velocity_rad_s")

@@ -15,6 +15,7 @@ from servobench.drivers.errors import BadInput, LimitExceeded, PeerFault
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.hil.testing.bench_runs import BenchRunner
 from servobench.hil.testing.run import Run
+from tests.recorded_frames import candump_text
 from tests.rehearsals.rehearsal import made_sheet
 from tests.scenario.processes import EXAMPLES
 
@@ -31,8 +32,8 @@ NETWORK = {
 
 
 def frames_of(run: Run, cob_id: str) -> tuple[np.ndarray, list[bytes]]:
-    """Instants, s from the first cycle, and data of the frames of an identifier, from frames.log alone."""
-    lines = re.findall(rf"\(([\d.]+)\) \S+ {cob_id}#(\w*)", (run.folder / "frames.log").read_text())
+    """Instants, s from the first cycle, and data of the frames of an identifier, from the frames alone."""
+    lines = re.findall(rf"\(([\d.]+)\) \S+ {cob_id}#(\w*)", candump_text(run.folder))
     return np.array([float(at) - 1e9 for at, _ in lines]), [bytes.fromhex(data) for _, data in lines]
 
 

@@ -84,7 +84,7 @@ def test_a_disk_that_fills_up_leaves_a_verdict_and_whole_files(tmp_path: Path, o
         whole = pa.ipc.open_file(source).read_all().num_rows
     # what found no room in there lies in records.tail, and the summary says so
     assert 0 < whole + read_tail(folder / TAIL_FILE, ROW_DTYPE, whole).size <= summary["cycles"]
-    for name in ("frames.log", "events.jsonl", "faults.jsonl"):
+    for name in ("events.jsonl", "faults.jsonl"):
         assert (folder / name).read_bytes()[-1:] in (b"", b"\n"), name
     assert (folder / "network.toml").stat().st_size > 0
     drive = drive_states(folder)

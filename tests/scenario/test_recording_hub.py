@@ -13,6 +13,7 @@ from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant, wall_clock
 from servobench.hil.pytest_plugin import StartDrive
 from servobench.hil.rows.records_file import read_metadata, read_records
 from servobench.hil.rows.run_files import FIRST_CYCLE
+from tests.recorded_frames import candump_text
 from tests.scenario.processes import (
     HIL,
     broker_of,
@@ -40,7 +41,7 @@ def lost_before(folder: Path, at: Instant) -> int:
     records = folder / "records.arrow"
     rows = np.concatenate(list(read_records(records, int(read_metadata(records)[FIRST_CYCLE]))))
     assert rows["sequence"].tolist() == list(range(1, rows.size + 1))
-    frames = (folder / "frames.log").read_text()
+    frames = candump_text(folder)
     assert frames.endswith("\n")
     last_frame_ns = round(float(frames.splitlines()[-1].split(")")[0][1:]) * NS_PER_S)
     assert at + wall_clock_offset() - last_frame_ns <= LOST_MAX_NS, "frames are missing"

@@ -19,6 +19,7 @@ from servobench.hil.rows.records_file import PHASE_COLUMN, read_metadata
 from servobench.hil.rows.run_files import FORMAT, RECORDS_FILE
 from servobench.hil.testing.bench_runs import BenchRunner
 from servobench.hil.testing.run import Run
+from tests.recorded_frames import candump, candump_text
 from tests.scenario.processes import EXAMPLES
 
 TSHARK_MAX_S = 60
@@ -53,9 +54,9 @@ def counts(run: Run) -> tuple[int, int, int]:
 
 
 def test_python_can_reads_every_frame_in_order_and_in_run_time(run: Run) -> None:
-    with can.CanutilsLogReader(run.folder / "frames.log") as reader:
+    with can.CanutilsLogReader(candump(run.folder)) as reader:
         messages = list(reader)
-    lines = (run.folder / "frames.log").read_text().splitlines()
+    lines = candump_text(run.folder).splitlines()
     stamps = [message.timestamp for message in messages]
     assert len(messages) == len(lines) == len(run.wire.frames) > 8000
     assert stamps == sorted(stamps)
@@ -109,7 +110,7 @@ def test_tshark_reads_every_frame_and_finds_none_malformed(run: Run) -> None:
         lacking("tshark")
         return
     fields = ["frame.time_epoch", "can.id", "can.len", "can.flags.err", "_ws.malformed"]
-    command = [tshark, "-r", str(run.folder / "frames.log"), "-T", "fields"]
+    command = [tshark, "-r", str(candump(run.folder)), "-T", "fields"]
     command += [part for name in fields for part in ("-e", name)]
     found = subprocess.run(command, capture_output=True, text=True, timeout=TSHARK_MAX_S, check=False)
     assert found.returncode == 0, found.stderr

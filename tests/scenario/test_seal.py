@@ -20,6 +20,8 @@ from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from servobench.hil.cli import app
 from servobench.hil.configuration.bench_file import load_bench
+from servobench.hil.rows import seal as seals
+from servobench.hil.rows.frames_index import indexed_batches, read_index
 from servobench.hil.rows.seal import read_seal, sealed_line
 from tests.unit.hil.recorded_runs import BENCH, short_run
 
@@ -64,7 +66,7 @@ def names(run: Path) -> list[str]:
 
 def test_each_byte_of_each_file_counts(run: Path, tmp_path: Path) -> None:
     copy, draw = copied(run, tmp_path), random.Random(36)
-    recorded = {"records.arrow", "events.jsonl", "frames.log", "frames.directions", "run.rrd", "summary.json"}
+    recorded = {"records.arrow", "events.jsonl", "frames.arrow", "frames.index", "run.rrd", "summary.json"}
     recorded |= {"bench.toml", "faults.jsonl", "frames.index", "network.toml", "seal"}
     assert recorded == set(names(run))
     for name in names(run):
@@ -112,13 +114,17 @@ def test_who_reads_a_recording_without_a_seal_says_so(run: Path, tmp_path: Path,
     assert told_as not in read(name, run)[1]
 
 
-def test_a_window_of_a_trace_asks_the_seal_for_what_it_reads(tmp_path: Path) -> None:
+def test_a_window_of_a_trace_asks_the_seal_for_what_it_reads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of a longer recording the rest is not read, and so not held against it; of each file the length is."""
     run = tmp_path / "run"
     done = servobench.run(BENCH, {"bench.duration_s": 25.0, "load": {}}, record=run)
-    log = (run / "frames.log").read_bytes()
+    log = (run / "frames.arrow").read_bytes()
     assert done.summary.cycles == 25_000
-    assert len(log) > 1 << 22, "a smaller one is held against it as a whole"
+    monkeypatch.setattr(seals, "SMALL_BYTES", 1 << 16)
+    assert len(log) > 1 << 18, "a smaller one is held against it as a whole"
+    lying = indexed_batches(read_index(run))
 
     def window(begin_s: float) -> tuple[int, str]:
         ended = CliRunner().invoke(
@@ -126,15 +132,18 @@ def test_a_window_of_a_trace_asks_the_seal_for_what_it_reads(tmp_path: Path) -> 
         )
         return ended.exit_code, ended.output
 
-    places = {begin_s: log.index(b"(%d." % (10**9 + begin_s)) for begin_s in (1, 10, 19)}
+    places = {}
+    for begin_s in (1, 10, 19):
+        before = lying["begin"][lying["at"] <= (10**9 + begin_s) * 10**9]
+        places[begin_s] = int(before[-1]) + 800
     for begin_s, place in places.items():
-        (run / "frames.log").write_bytes(log[: place + 40] + bytes([log[place + 40] ^ 1]) + log[place + 41 :])
+        (run / "frames.arrow").write_bytes(log[:place] + bytes([log[place] ^ 1]) + log[place + 1 :])
         status, told = window(begin_s)
-        assert (status, "frames.log: bytes " in told) == (2, True), told
-    (run / "frames.log").write_bytes(log)
+        assert (status, "frames.arrow: bytes " in told) == (2, True), told
+    (run / "frames.arrow").write_bytes(log)
     assert [window(begin_s)[0] for begin_s in places] == [0, 0, 0]
-    (run / "frames.log").write_bytes(log + b"\n")
-    assert "frames.log: found '1 bytes more'" in window(10)[1]
+    (run / "frames.arrow").write_bytes(log + b"\n")
+    assert "frames.arrow: found '1 bytes more'" in window(10)[1]
 
 
 def test_a_file_that_the_run_had_not_is_told(run: Path, tmp_path: Path) -> None:
@@ -233,10 +242,10 @@ def test_the_verdict_says_whether_it_rests_on_a_seal(run: Path) -> None:
 
 def test_a_run_of_the_python_api_is_read_only_as_it_was_recorded(tmp_path: Path) -> None:
     done = servobench.run(BENCH, {"bench.duration_s": 0.3, "load": {}}, record=tmp_path / "run")
-    with (tmp_path / "run" / "frames.directions").open("r+b") as file:
+    with (tmp_path / "run" / "frames.arrow").open("r+b") as file:
         file.write(b"R")
     for read_of in (lambda: done.table, lambda: done.events, lambda: done.wire):
-        with pytest.raises(BadInput, match=r"frames\.directions: bytes 0 to "):
+        with pytest.raises(BadInput, match=r"frames\.arrow: bytes 0 to "):
             read_of()
 
 

@@ -24,6 +24,7 @@ from servobench.hil.reviewing.trace.trace_entry import TraceEntry
 from servobench.hil.rows.run_files import RECORDS_FILE
 from servobench.hil.testing.bench_runs import BenchRunner
 from tests.canopen_session import TEXT, Witnessed, session
+from tests.recorded_frames import candump
 from tests.scenario.processes import EXAMPLES
 from tests.scenario.test_recording_is_read_by_others import TSHARK_MAX_S, lacking
 from tests.unit.virtual_bus.device_bench import NODE, NOTE, TARGET
@@ -147,7 +148,7 @@ def compared(entries: list[TraceEntry], rows: list[Dissected]) -> dict[str, int]
 
 
 def speeds_are_those_of_the_records(folder: Path, entries: list[TraceEntry], zero_ns: int) -> None:
-    """By the stamp of the frame, to the microsecond that frames.log has."""
+    """By the stamp of the frame, to the microsecond that candump has."""
     table = pa.ipc.open_file(folder / RECORDS_FILE).read_all().select(["received_at", "velocity_rad_s"])
     recorded = {
         at // 1000: speed for at, speed in zip(*table.to_pydict().values(), strict=True) if at is not None
@@ -168,7 +169,7 @@ def speeds_are_those_of_the_records(folder: Path, entries: list[TraceEntry], zer
 def test_tshark_agrees_on_a_run_frame_by_frame(servo_bench: BenchRunner, tmp_path: Path) -> None:
     run = servo_bench(EXAMPLES / "ling2012.toml", {"bench.duration_s": 0.3, "load.axis1": []})
     capture = tmp_path / "frames.pcapng"
-    tshark("-r", str(run.folder / "frames.log"), "-w", str(capture))
+    tshark("-r", str(candump(run.folder)), "-w", str(capture))
     recorded = RecordedBus(run.folder)
     entries = list(decode(recorded, recorded.known([])))
     agreed = compared(entries, dissected(capture))

@@ -12,6 +12,7 @@ from servobench.hil.configuration.bench_file import bench_from
 from servobench.hil.configuration.config_files import BadInputs, bad_inputs_of
 from servobench.hil.testing.bench_runs import BenchRunner
 from servobench.hil.verdict.verdict import ExitStatus
+from tests.recorded_frames import candump_text
 from tests.scenario.processes import EXAMPLES, hub_name, run_command
 from tests.warm.start import hil
 
@@ -21,7 +22,7 @@ BENCH = EXAMPLES / "two_segments.toml"
 def frames_of(folder: Path) -> dict[str, list[tuple[str, str]]]:
     """(time, identifier) of the frames, by segment."""
     found: dict[str, list[tuple[str, str]]] = {}
-    for line in (folder / "frames.log").read_text().splitlines():
+    for line in candump_text(folder).splitlines():
         stamp, segment, frame = line.split()
         found.setdefault(segment, []).append((stamp, frame.partition("#")[0]))
     return found

@@ -29,8 +29,8 @@ class TwoProcesses:
         assert summary["cycles"] > 0.9 * CYCLES
         assert summary["reading_delay_us"]["p50"] > 0
         names = {path.name for path in (tmp_path / "run").iterdir()}
-        assert {"run.rrd", "frames.log", "bench.toml", "summary.json"} <= names
-        assert (tmp_path / "run" / "frames.log").stat().st_size > 0
+        assert {"run.rrd", "frames.arrow", "bench.toml", "summary.json"} <= names
+        assert (tmp_path / "run" / "frames.arrow").stat().st_size > 0
 
     def test_a_controller_of_one_s_own_runs_with_a_solver_in_every_cycle(
         self, servo_bus: str, servo_process: StartDrive, tmp_path: Path

@@ -89,7 +89,7 @@ class Ran:
 
     @cached_property
     def wire(self) -> Wire:
-        """Of frames.log; none where it was cut off before its first cycle was known."""
+        """Of its frames; none where it was cut off before its first cycle was known."""
         return read_wire(self.folder) if read_metadata(self.folder / RECORDS_FILE) else Wire()
 
     @cached_property

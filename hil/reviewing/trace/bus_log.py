@@ -23,6 +23,7 @@ from servobench.hil.reviewing.trace.capture_file import (
     OtherPacket,
     capture_packets,
 )
+from servobench.hil.reviewing.trace.frame_columns import Hold, LogWindow, held_against_nothing
 from servobench.hil.reviewing.trace.log_frame import LogFrame
 from servobench.hil.reviewing.trace.log_lines import (
     SUFFIXES,
@@ -32,7 +33,7 @@ from servobench.hil.reviewing.trace.log_lines import (
     kind_of,
     other_frames,
 )
-from servobench.hil.reviewing.trace.log_window import Hold, LogWindow, lines_of_window
+from servobench.hil.reviewing.trace.log_window import lines_of_window
 
 STDIN: Final = Path("-")
 KINDS: Final = f"a log of candump, a pcap or pcapng, or one of {', '.join(SUFFIXES)}"
@@ -53,7 +54,7 @@ class BusLog:
         differences: bool = False,
         *,
         window: LogWindow | None = None,
-        hold: Hold = lambda _file, _begin, _end: None,
+        hold: Hold = held_against_nothing,
     ) -> None:
         """``differences``: each stamp counts from the frame before (candump -t d).
 

@@ -14,8 +14,13 @@ from servobench.drivers.errors import BadInput, BenchError
 from servobench.drivers.timebase import Instant
 from servobench.hil.configuration.bench_file import load_bench
 from servobench.hil.reviewing.trace.bus_log import BusLog
+from servobench.hil.reviewing.trace.frame_columns import (
+    FrameColumns,
+    Hold,
+    LogWindow,
+    held_against_nothing,
+)
 from servobench.hil.reviewing.trace.log_frame import LogFrame
-from servobench.hil.reviewing.trace.log_window import Hold, LogWindow
 from servobench.hil.reviewing.trace.node_objects import KnownNodes, NodeKey, SheetFile
 from servobench.hil.rows.records_file import read_metadata, refuse_later_format
 from servobench.hil.rows.run_files import (
@@ -24,6 +29,7 @@ from servobench.hil.rows.run_files import (
     DIRECTIONS_FILE,
     FIRST_CYCLE_EPOCH,
     FRAMES_FILE,
+    FRAMES_LOG,
     INDEX_FILE,
     RECORDS_FILE,
 )
@@ -35,43 +41,51 @@ _CHUNK: Final = 1 << 16
 
 
 class RecordedBus:
-    """frames.log of a run, in run time."""
+    """The frames of a run, in run time."""
 
     def __init__(self, folder: Path) -> None:
         """Raises BadInput if there are no frames, or if a later version has written them."""
-        if not (folder / FRAMES_FILE).exists():
+        self._folder = folder
+        self._is_text = not (folder / FRAMES_FILE).exists()
+        if self._is_text and not (folder / FRAMES_LOG).exists():
             expected = f"a recording with {FRAMES_FILE} (recording.frames of its bench)"
             raise BadInput(str(folder), "", "no frames", expected)
-        self.log = BusLog(folder / FRAMES_FILE)
-        self.notes: list[str] = []
-        """Remarks on what the bench file lacks, and why."""
-        self._folder = folder
         records = folder / RECORDS_FILE
         metadata = read_metadata(records) if records.exists() else {}
         refuse_later_format(metadata, records)
+        self.log = self._opened()
+        self.notes: list[str] = []
+        """Remarks on what the bench file lacks, and why."""
         self._interface = metadata.get("bus", "").rpartition(":")[2]
         self.zero_ns = int(metadata[FIRST_CYCLE_EPOCH]) if FIRST_CYCLE_EPOCH in metadata else None
-        """The first cycle as frames.log counts; None if the run never came to one."""
+        """The first cycle as the stamps count; None if the run never came to one."""
 
     def __iter__(self) -> Iterator[LogFrame]:
         """Each frame with T or R."""
         return self._told(self.log)
 
     def of_window(self, window: LogWindow, sealed: SealedFiles | None = None) -> Iterator[LogFrame]:
-        """The same of the frames in a window, as frames.log counts, and of those that say what they mean.
+        """The same of the frames in a window of stamps, and of those that say what they mean.
 
         ``sealed``: what is read is held against the seal first, which raises BadInput.
         """
-        if sealed is None:
-            self.log = BusLog(self._folder / FRAMES_FILE, window=window)
-            return self._told(self.log)
-        sealed.check(INDEX_FILE)
-        self.log = BusLog(self._folder / FRAMES_FILE, window=window, hold=sealed.check)
-        return self._told(self.log, sealed.check)
+        hold: Hold = held_against_nothing
+        if sealed is not None:
+            sealed.check(INDEX_FILE)
+            hold = sealed.check
+        self.log = self._opened(window, hold)
+        return self._told(self.log, hold)
 
-    def _told(self, log: BusLog, hold: Hold = lambda _file, _begin, _end: None) -> Iterator[LogFrame]:
+    def _opened(
+        self, window: LogWindow | None = None, hold: Hold = held_against_nothing
+    ) -> BusLog | FrameColumns:
+        if self._is_text:
+            return BusLog(self._folder / FRAMES_LOG, window=window, hold=hold)
+        return FrameColumns(self._folder, window, hold)
+
+    def _told(self, log: BusLog | FrameColumns, hold: Hold = held_against_nothing) -> Iterator[LogFrame]:
         path = self._folder / DIRECTIONS_FILE
-        if not path.exists() or not path.stat().st_size:
+        if not self._is_text or not path.exists() or not path.stat().st_size:
             yield from log
             return
         with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as letters:
@@ -81,7 +95,8 @@ class RecordedBus:
                 yield frame._replace(sent=letters[place : place + 1].decode("latin-1"))
 
     def arrays(self, segments: Sequence[str]) -> Iterator[NDArray[np.void]]:
-        """The frames in blocks of FRAME_DTYPE, (n,); ``segments``: names of the further ones, by number."""
+        """The frames in blocks of FRAME_DTYPE, (n,), without error frames; ``segments``: names of the further
+        ones, by number."""
         numbers = {name: number for number, name in enumerate(segments, start=1)}
         zero_ns = self.zero_ns or 0
         frames = iter(self.log)

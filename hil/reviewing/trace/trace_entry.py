@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any, Final, NamedTuple
 
 from servobench.drivers.timebase import NS_PER_S
-from servobench.hil.reviewing.trace.log_window import EVER_NS, LogWindow
+from servobench.hil.reviewing.trace.frame_columns import EVER_NS, LogWindow
 from servobench.hil.reviewing.trace.object_value import ObjectValue
 
 KINDS: Final = ("nmt", "sync", "emcy", "time", "heartbeat", "guarding", "sdo", "pdo", "lss", "error", "other")

@@ -12,8 +12,9 @@ from typer.testing import CliRunner
 
 from servobench.hil.cli import app
 from servobench.hil.recorded.commissioning_page import commissioning_page
-from servobench.hil.rows.run_files import COMMISSIONING_RECORDING, DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE
+from servobench.hil.rows.run_files import COMMISSIONING_RECORDING, EVENTS_FILE
 from tests.commissioning import unknown_world
+from tests.recorded_frames import candump, directions
 from tests.rrd_columns import columns, numbers
 
 
@@ -34,14 +35,14 @@ def commissioned(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_every_frame_is_there_with_who_sent_it(commissioned: Path) -> None:
     recording = commissioned / COMMISSIONING_RECORDING
-    with can.CanutilsLogReader(recording / FRAMES_FILE) as log:
+    with can.CanutilsLogReader(candump(recording)) as log:
         frames = list(log)
-    directions = (recording / DIRECTIONS_FILE).read_text().split()
-    assert len(frames) == len(directions) > 500
+    ways = directions(recording)
+    assert len(frames) == len(ways) > 500
     stamps = [frame.timestamp for frame in frames]
     assert stamps == sorted(stamps)
-    sent = {frame.arbitration_id for frame, way in zip(frames, directions, strict=True) if way == "T"}
-    received = {frame.arbitration_id for frame, way in zip(frames, directions, strict=True) if way == "R"}
+    sent = {frame.arbitration_id for frame, way in zip(frames, ways, strict=True) if way == "T"}
+    received = {frame.arbitration_id for frame, way in zip(frames, ways, strict=True) if way == "R"}
     assert {0x000, 0x080, 0x601, 0x77F} <= sent
     assert {0x181, 0x581, 0x701} <= received
     # what was written is put back: the end is in it too
@@ -57,7 +58,7 @@ def test_it_opens_by_hil_trace(commissioned: Path) -> None:
 def test_its_events_say_what_was_done(commissioned: Path) -> None:
     found = events(commissioned)
     assert found[0]["at_ns"] == 0
-    assert "0 ns is (1000000000.000000) of frames.log" in found[0]["text"]
+    assert "0 ns is (1000000000.000000) of frames.arrow" in found[0]["text"]
     steps = [event["state"] for event in found if event.get("track") == "step"]
     assert steps == ["bus", "identity", "dump", "units", "setup", "stop", "watchdog"]
     texts = [event["text"] for event in found if "text" in event]
@@ -103,13 +104,13 @@ def test_its_positions_are_those_of_the_frames(tmp_path: Path) -> None:
     """Of a shaft that has turned: the same at the same instants, but for one unit."""
     unknown_world(4, tmp_path, last_step="polarity")
     times, turns = numbers(commissioning_page(tmp_path), "/position/6064h")
-    with can.CanutilsLogReader(tmp_path / COMMISSIONING_RECORDING / FRAMES_FILE) as log:
+    with can.CanutilsLogReader(candump(tmp_path / COMMISSIONING_RECORDING)) as log:
         read = [frame for frame in log if frame.arbitration_id == 0x181 and len(frame.data) == 8]
     counts = {
         round((frame.timestamp - 1e9) * 1e6): int.from_bytes(frame.data[4:8], "little", signed=True)
         for frame in read
     }
-    seen = np.array([counts[round(at / 1e3)] for at in times.tolist()], float)
+    seen = np.array([counts[at // 1000] for at in times.tolist()], float)
     assert np.ptp(turns) > 0.05
     unit = np.ptp(turns) / np.ptp(seen)
     np.testing.assert_allclose(turns, unit * seen, atol=1e-9)

@@ -22,6 +22,7 @@ from servobench.hil.rows.records import Rows
 from servobench.hil.verdict.limits import VerdictLimits
 from servobench.hil.verdict.plain_values import from_plain
 from tests.page_text import page_text
+from tests.recorded_frames import write_frames
 from tests.unit.hil.made_runs import MadeRun, made_run
 from tests.unit.hil.row_tools import plain_rows
 
@@ -152,7 +153,7 @@ def test_a_commissioning_is_told_step_by_step() -> None:
 
 @pytest.mark.parametrize(
     ("text", "at_ns"),
-    [("0 ns is (12.000345) of frames.log", 12_000_345_000), ("0 ns is (1.5)", None), ("", None)],
+    [("0 ns is (12.000345) of frames.arrow", 12_000_345_000), ("0 ns is (1.5)", None), ("", None)],
 )
 def test_the_first_event_tells_where_time_begins(text: str, at_ns: int | None) -> None:
     assert commissioned._zero_ns({"text": text}) == at_ns
@@ -166,10 +167,9 @@ def folder_of(tmp_path: Path, figures: Any = None) -> Path:
     frames = ["601#4041600000000000", "581#4B41600040020000", "601#4041600000000000", "581#4B41600031020000"]
     frames += ["081#1043090000000000", "601#4041600000000000", "581#4B41600031020000"]
     lines = [f"(0000000005.{100_000 * place:06d}) can0 {frame}" for place, frame in enumerate(frames)]
-    (recording / "frames.log").write_text("\n".join(lines) + "\n")
-    (recording / "frames.directions").write_text("T\nR\nT\nR\nR\nT\nR\n")
+    write_frames(recording, "\n".join(lines) + "\n", "TRTRRTR")
     events = [
-        {"at_ns": 0, "level": "INFO", "text": "0 ns is (4.900000) in frames.log"},
+        {"at_ns": 0, "level": "INFO", "text": "0 ns is (4.900000) in frames.arrow"},
         {"at_ns": 50_000_000, "track": "step", "state": "units"},
         {"at_ns": 900_000_000, "track": "step", "state": "other"},
     ]
@@ -196,7 +196,7 @@ def test_a_page_is_made_of_frames_events_and_figures(tmp_path: Path) -> None:
     assert [line.rsplit(": ")[1] for line in states] == ["2 rows"], "told again it is the same"
     assert "0.500 s  " in text
     assert "WARN" in text
-    assert "0.000 s  0 ns is (4.900000) in frames.log" in text
+    assert "0.000 s  0 ns is (4.900000) in frames.arrow" in text
 
 
 def test_a_page_is_made_anew_when_its_sources_are_newer(tmp_path: Path) -> None:
@@ -237,7 +237,7 @@ def test_an_event_that_lacks_something_is_passed_over(tmp_path: Path) -> None:
     with (folder / "recording" / "events.jsonl").open("a") as events:
         events.write('\n{"at_ns": 1, "track": "step"}\n{"at_ns": 2, "text": "no level"}\n')
     text = page_text(commissioning_page(folder))
-    assert "0.000 s  0 ns is (4.900000) in frames.log" in text
+    assert "0.000 s  0 ns is (4.900000) in frames.arrow" in text
     assert "no level" not in text
 
 

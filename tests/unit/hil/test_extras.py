@@ -90,7 +90,7 @@ def test_a_bench_runs_and_its_recording_lacks_the_page_alone(core: Path) -> None
     assert done.stderr.count("run.rrd needs the extra view") == 1
     assert not json.loads(done.stdout).get("recording_faults")
     kept = {path.name for path in (core / "mybench" / "run").iterdir()}
-    assert {"records.arrow", "frames.log", "events.jsonl", "summary.json", "seal"} <= kept
+    assert {"records.arrow", "frames.arrow", "events.jsonl", "summary.json", "seal"} <= kept
     assert "run.rrd" not in kept
     for line in ("review run", "runs .", "compare run run", "trace run --to 0.01"):
         read = hil(core, *line.split(), within="mybench")

@@ -4,13 +4,14 @@ from pathlib import Path
 
 from servobench.drivers.canopen.nmt import Emergency
 from servobench.drivers.timebase import NS_PER_MS, Instant
-from servobench.hil.recording.fault_report import FAULT_FILE, FRAMES_MAX, last_frames, write_fault_report
+from servobench.hil.recording.fault_report import FAULT_FILE, last_frames, write_fault_report
+from tests.recorded_frames import write_frames
 
 FRAMES = "(1.000000) can0 080#\n(1.000135) can0 181#2706000000000000\n(1.002000) can0 081#1023028000000000\n"
 
 
 def test_error_emergencies_and_frames(tmp_path: Path) -> None:
-    (tmp_path / "frames.log").write_text(FRAMES)
+    write_frames(tmp_path, FRAMES)
     emergencies = [Emergency(1, 0x7392, 0x20, bytes(5), Instant(10 * NS_PER_MS))]
     write_fault_report(
         tmp_path, "axis1 is in fault", emergencies, {1: (0xFB, "EPOS4")}, Instant(30 * NS_PER_MS)
@@ -24,20 +25,11 @@ def test_error_emergencies_and_frames(tmp_path: Path) -> None:
 
 
 def test_only_the_end_of_a_long_log_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "frames.log"
-    path.write_text("".join(f"({n}.000000) can0 080#\n" for n in range(1000)))
-    frames = last_frames(path, 10)
+    write_frames(tmp_path, "".join(f"({n}.000000) can0 080#\n" for n in range(1000)))
+    frames = last_frames(tmp_path, 10)
     assert len(frames) == 10
     assert frames[-1].split()[0] == "0.000"
     assert frames[0].split()[0] == "9000.000"
-
-
-def test_a_long_name_of_an_interface_leaves_room_for_as_many_frames(tmp_path: Path) -> None:
-    path = tmp_path / "frames.log"
-    interface = "/dev/serial/by-id/usb-Protofusion_Labs_CANable_1205aa6_https:__github.com_normaldotcom-if00"
-    line = "({:010}.000000) {} 18FF50E5#0011223344556677\n"
-    path.write_text("".join(line.format(n, interface) for n in range(400)))
-    assert len(last_frames(path)) == FRAMES_MAX
 
 
 def test_without_frames_and_emergencies(tmp_path: Path) -> None:
@@ -49,4 +41,4 @@ def test_without_frames_and_emergencies(tmp_path: Path) -> None:
 
 def test_a_folder_that_is_gone_is_borne(tmp_path: Path) -> None:
     write_fault_report(tmp_path / "gone", "x", [], {}, Instant(0))
-    assert last_frames(tmp_path / "gone" / "frames.log") == []
+    assert last_frames(tmp_path / "gone") == []

@@ -27,6 +27,7 @@ from servobench.hil.rows.side_rows import (
     frame_row,
 )
 from servobench.virtual_bus.faults.fault_log import BLOCK_BYTES, KIND_CODES, FaultLog
+from tests.recorded_frames import candump_text, directions
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 from tests.unit.hil.test_log_files import summary_of
@@ -35,7 +36,7 @@ from tests.unit.hil.test_recording_keepers import BEGIN, NO_FRAMES, NO_ROWS, STA
 __all__ = ["plan"]
 
 
-# ---- frames.log ---------------------------------------------------------------------------------------
+# ---- frames.arrow -------------------------------------------------------------------------------------
 
 
 def frames_at(*rows: tuple[int, int]) -> NDArray[np.void]:
@@ -47,13 +48,15 @@ def frames_at(*rows: tuple[int, int]) -> NDArray[np.void]:
 
 def put(keeper: FramesKeeper, frames: NDArray[np.void], *events: RunEvent) -> None:
     keeper.take(NO_ROWS, frames, events)
+    keeper.flush()
 
 
 def written(folder: Path) -> list[str]:
     """Stamps after the simulated epoch, s, with the directions."""
-    stamps = [line.split(")")[0][1:] for line in (folder / "frames.log").read_text().splitlines()]
-    directions = (folder / "frames.directions").read_text().split()
-    return [f"{float(stamp) - 1e9:.6f} {way}" for stamp, way in zip(stamps, directions, strict=True)]
+    if not (folder / "frames.arrow").exists():
+        return []
+    stamps = [line.split(")")[0][1:] for line in candump_text(folder).splitlines()]
+    return [f"{float(stamp) - 1e9:.6f} {way}" for stamp, way in zip(stamps, directions(folder), strict=True)]
 
 
 def test_in_simulated_time_frames_wait_for_the_first_cycle(plan: RecordingPlan, tmp_path: Path) -> None:
@@ -64,8 +67,6 @@ def test_in_simulated_time_frames_wait_for_the_first_cycle(plan: RecordingPlan, 
     assert read_tail(tail, FRAME_DTYPE, 0)["at"].tolist() == [1_000_000, 2_500_000]
     put(keeper, NO_FRAMES, BeginEvent(BEGIN))
     put(keeper, frames_at((3_004, 0)))
-    keeper.write_rest()
-    assert written(tmp_path) == ["-0.002000 T", "-0.000500 R", "0.000004 R"]
     keeper.finish(summary_of())
     assert written(tmp_path) == ["-0.002000 T", "-0.000500 R", "0.000004 R"]
     assert not tail.exists()
@@ -86,7 +87,7 @@ def test_in_real_time_they_are_written_at_once_with_the_wall_clock_s_stamp(
     put(keeper, frames_at((1, 1)))
     put(keeper, frames_at((2_000_000, 0)))
     keeper.finish(summary_of())
-    assert (tmp_path / "frames.log").read_text().splitlines() == [
+    assert candump_text(tmp_path).splitlines() == [
         "(1700000000.000001) can0 080#",
         "(1700000002.000000) can0 080#",
     ]
@@ -101,7 +102,7 @@ def test_what_the_tail_has_is_what_the_log_has_not(plan: RecordingPlan, tmp_path
     assert len(written(tmp_path)) + held.size == 2
     put(keeper, second)
     keeper.finish(summary_of())
-    names = [line.split()[1] for line in (tmp_path / "frames.log").read_text().splitlines()]
+    names = [line.split()[1] for line in candump_text(tmp_path).splitlines()]
     assert names == ["simulated", "second", "simulated"]
     assert written(tmp_path) == ["0.001000 T", "0.001500 R", "0.002000 T"]
 

@@ -14,6 +14,7 @@ from servobench.hil.rows.side_rows import BeginEvent, StateEvent, TextEvent
 from servobench.virtual_bus.bus.judge import Direction
 from servobench.virtual_bus.faults.fault_log import AT_NODE, KIND_CODES, FaultEntry
 from servobench.virtual_bus.faults.log_kind import NONE
+from tests.recorded_frames import write_frames
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
@@ -146,7 +147,7 @@ FRAMES: Final = "(1.000000) can0 080#\n(1.000135) can0 181#2706\n(1.002000) can0
 
 
 def test_the_end_of_a_run_in_fault_is_written_line_by_line(tmp_path: Path) -> None:
-    (tmp_path / "frames.log").write_text(FRAMES)
+    write_frames(tmp_path, FRAMES)
     said = [
         Emergency(7, 0x8210 + number, 0x11, bytes(5), Instant(number * NS_PER_MS)) for number in range(51)
     ]
@@ -168,4 +169,4 @@ def test_the_end_of_a_run_in_fault_is_written_line_by_line(tmp_path: Path) -> No
         "       1.865  181#2706              TPDO1 of node 1",
         "       0.000  18105555#                  no identifier of CANopen",
     ]
-    assert last_frames(tmp_path / "frames.log", 1) == [text[-1]]
+    assert last_frames(tmp_path, 1) == [text[-1]]

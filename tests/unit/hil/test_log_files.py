@@ -17,6 +17,7 @@ from servobench.hil.rows.records import ROW_DTYPE
 from servobench.hil.rows.side_rows import FRAME, FRAME_DTYPE
 from servobench.hil.verdict.figures import Figures
 from servobench.hil.verdict.summary import Summary, summarise
+from tests.recorded_frames import candump_text, directions
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
@@ -94,5 +95,5 @@ def test_frames_go_under_the_last_part_of_the_bus_spec(tmp_path: Path) -> None:
     frames = np.frombuffer(FRAME.pack(1_000, 0x80, 0, 1, b""), FRAME_DTYPE)
     keeper.take(np.empty(0, ROW_DTYPE), frames, [])
     keeper.finish(summary_of())
-    assert (tmp_path / "frames.log").read_text() == "(1000000000.000001) vcan0 080#\n"
-    assert (tmp_path / "frames.directions").read_text() == "T\n"
+    assert candump_text(tmp_path) == "(1000000000.000001) vcan0 080#\n"
+    assert directions(tmp_path) == ["T"]

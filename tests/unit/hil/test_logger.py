@@ -18,6 +18,7 @@ from servobench.hil.rows.side_rows import TextEvent, frame_row
 from servobench.hil.verdict.summary import Summary
 from servobench.hil.verdict.verdict import VerdictKind
 from servobench.virtual_bus.faults.fault_log import BLOCK
+from tests.recorded_frames import candump_text
 from tests.unit.hil.logger_fakes import Rings, made_rings
 from tests.unit.hil.recording_tools import files_below, plan_for, whole_outcome
 from tests.unit.hil.synthetic_run import synthetic_records
@@ -97,7 +98,7 @@ def test_what_found_its_ring_full_is_counted(tmp_path: Path, rings: Rings, lost:
     assert fault == f"{told} of injected faults lost, the logger was too slow"
 
 
-@pytest.mark.parametrize("name", ["frames.log", "events.jsonl", "records.arrow"])
+@pytest.mark.parametrize("name", ["frames.arrow", "events.jsonl", "records.arrow"])
 def test_a_full_disk_under_one_file_spoils_only_that_file(tmp_path: Path, rings: Rings, name: str) -> None:
     (tmp_path / name).symlink_to("/dev/full")
     summary = run_logger(tmp_path, rings, OUTCOME)
@@ -105,7 +106,7 @@ def test_a_full_disk_under_one_file_spoils_only_that_file(tmp_path: Path, rings:
     (fault,) = summary.recording_faults
     assert fault.startswith(f"{name} is incomplete: ")
     assert json.loads((tmp_path / "summary.json").read_text())["recording_faults"] == [fault]
-    for other in {"frames.log", "events.jsonl", "records.arrow", "run.rrd"} - {name}:
+    for other in {"frames.arrow", "events.jsonl", "records.arrow", "run.rrd"} - {name}:
         assert (tmp_path / other).stat().st_size > 0
 
 
@@ -116,7 +117,7 @@ def test_a_disk_that_fills_up_under_the_telemetry_is_told(rings: Rings, tmp_path
     (fault,) = summary.recording_faults
     assert fault.startswith("run.rrd is incomplete: the telemetry cannot be written")
     assert (tmp_path / "run.rrd").stat().st_size == 126_000
-    assert len((tmp_path / "frames.log").read_text().splitlines()) == CYCLES
+    assert len(candump_text(tmp_path).splitlines()) == CYCLES
 
 
 def test_a_file_that_cannot_be_opened_ends_the_logger(rings: Rings, tmp_path: Path) -> None:

@@ -211,8 +211,8 @@ def test_a_confirmation_is_asked_once_and_waited_for_without_blocking(
 
 def test_trouble_ends_a_confirmation_without_a_wait(logger: LoggerProcess, process: ScriptedProcess) -> None:
     waits: list[None] = []
-    process.says("failed frames.log is incomplete")
-    assert failure(lambda: logger.confirm(lambda: waits.append(None))) == "frames.log is incomplete"
+    process.says("failed frames.arrow is incomplete")
+    assert failure(lambda: logger.confirm(lambda: waits.append(None))) == "frames.arrow is incomplete"
     assert waits == []
 
 
@@ -283,7 +283,7 @@ def test_what_it_had_complained_of_is_not_forgotten_at_its_end(
 def test_the_summary_is_what_it_says_at_its_end(
     logger: LoggerProcess, process: ScriptedProcess, time: ScriptedTime
 ) -> None:
-    process.says("ready", "stored", "failed frames.log", json.dumps(summary().as_json()))
+    process.says("ready", "stored", "failed frames.arrow", json.dumps(summary().as_json()))
     assert logger.finish(OUTCOME) == summary()
     assert json.loads(process.heard) == json.loads(json.dumps(asdict(OUTCOME)))
     assert process.heard.endswith("}\n")

@@ -14,6 +14,7 @@ from servobench import Run, run
 from servobench.hil.cli import app
 from servobench.hil.configuration.motor_file import LING2012
 from servobench.hil.configuration.toml_text import toml_text
+from tests.recorded_frames import candump
 from tests.rrd_columns import numbers
 
 pytestmark = [pytest.mark.long, pytest.mark.usefixtures("forked_children")]
@@ -61,7 +62,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 def told(folder: Path, identifier: int, code: str) -> tuple[np.ndarray, np.ndarray]:
     """Instants (s, of the log) and contents of a node's frames, by python-can and struct."""
-    with can.CanutilsLogReader(folder / "frames.log") as log:
+    with can.CanutilsLogReader(candump(folder)) as log:
         frames = [frame for frame in log if frame.arbitration_id == identifier]
     values = [unpack(code, frame.data) for frame in frames]
     return np.array([frame.timestamp for frame in frames]), np.array(values, float)

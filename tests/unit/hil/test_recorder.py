@@ -22,6 +22,7 @@ from servobench.hil.rows.records_file import read_records
 from servobench.hil.verdict.plain_values import from_plain
 from servobench.hil.verdict.summary import Summary
 from servobench.hil.verdict.verdict import VerdictKind
+from tests.recorded_frames import candump_text, directions
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import record_of
 from tests.unit.hil.synthetic_run import synthetic_records
@@ -71,8 +72,8 @@ def test_a_run_of_which_nothing_is_kept_has_the_same_figures(
 def test_the_folder_holds_the_run(run: tuple[Path, Summary]) -> None:
     folder, summary = run
     found = {path.name for path in folder.iterdir()}
-    expected = {"run.rrd", "frames.log", "records.arrow", "bench.toml", "summary.json", "events.jsonl"}
-    assert found == expected | {"frames.directions", "frames.index", "logger.log", "seal"}
+    expected = {"run.rrd", "frames.arrow", "records.arrow", "bench.toml", "summary.json", "events.jsonl"}
+    assert found == expected | {"frames.index", "logger.log", "seal"}
     assert (folder / "logger.log").read_text() == ""
     assert (folder / "bench.toml").read_text() == "# resolved\n"
     assert from_plain(Summary, json.loads((folder / "summary.json").read_text())) == summary
@@ -84,10 +85,10 @@ def test_the_records_are_all_there_in_order(run: tuple[Path, Summary]) -> None:
 
 
 def test_frames_and_events_are_there(run: tuple[Path, Summary]) -> None:
-    lines = (run[0] / "frames.log").read_text().splitlines()
+    lines = candump_text(run[0]).splitlines()
     assert len(lines) == 2 * CYCLES
     assert lines[:2] == ["(1000000000.000000) simulated 080#", "(1000000000.000000) simulated 181#3716"]
-    assert (run[0] / "frames.directions").read_text() == "T\nR\n" * CYCLES
+    assert directions(run[0]) == ["T", "R"] * CYCLES
     events = [json.loads(line) for line in (run[0] / "events.jsonl").read_text().splitlines()]
     assert events == [
         {"at_ns": -5, "level": "INFO", "text": "set up"},
@@ -104,7 +105,7 @@ def test_simulated_time_waits_for_the_logger_and_loses_nothing(tmp_path: Path) -
         recorder.record(replaced(record, sequence=sequence))
     summary = recorder.close(whole_outcome(CYCLES))
     assert summary.cycles == count
-    assert not (tmp_path / "run" / "frames.log").exists()
+    assert not (tmp_path / "run" / "frames.arrow").exists()
 
 
 def test_real_time_counts_what_a_stopped_logger_costs(tmp_path: Path) -> None:
@@ -161,7 +162,7 @@ def test_rows_of_a_killed_logger_are_in_the_files_once_each(tmp_path: Path) -> N
     rows = np.concatenate(list(read_records(tmp_path / "run" / "records.arrow")))
     assert [record_of(row) for row in rows] == records
     assert summary.digest == play(MemoryRecorder(plan_for(tmp_path)), 2 * CYCLES).digest
-    assert len((tmp_path / "run" / "frames.log").read_text().splitlines()) == 2 * CYCLES
+    assert len(candump_text(tmp_path / "run").splitlines()) == 2 * CYCLES
     assert from_plain(Summary, json.loads((tmp_path / "run" / "summary.json").read_text())) == summary
     assert not (tmp_path / "run" / "records.tail").exists()
 
@@ -229,7 +230,7 @@ def test_a_killed_writer_leaves_a_whole_recording(tmp_path: Path) -> None:
     assert not summary.verdict.passed
     assert summary.verdict.reason == "the process of the loop died"
     assert sum(rows.size for rows in read_records(folder / "records.arrow")) == 300
-    assert len((folder / "frames.log").read_text().splitlines()) == 300
+    assert len(candump_text(folder).splitlines()) == 300
 
 
 def wait_for_exit(process_id: int) -> None:

@@ -290,10 +290,10 @@ ALWAYS: Final = ["records.arrow", "events.jsonl", "load.csv"]
 @pytest.mark.parametrize(
     ("wish", "names"),
     [
-        ({}, [*ALWAYS, "frames.log", "run.rrd"]),
+        ({}, [*ALWAYS, "frames.arrow", "run.rrd"]),
         ({"frames": False}, [*ALWAYS, "run.rrd"]),
-        ({"period_us": 1000}, [*ALWAYS, "frames.log", "network.toml", "run.rrd"]),
-        ({"view": True}, [*ALWAYS, "frames.log", "run.rrd"]),
+        ({"period_us": 1000}, [*ALWAYS, "frames.arrow", "network.toml", "run.rrd"]),
+        ({"view": True}, [*ALWAYS, "frames.arrow", "run.rrd"]),
         ({"view": True, "real_time": True, "frames": False}, [*ALWAYS, "run.rrd", "live view"]),
         ({"folder": None}, []),
     ],

@@ -246,20 +246,18 @@ def test_frames_behind_the_log_s_are_added_each_with_its_direction(
     begun(plan, rows, COUNT)
     keeper = FramesKeeper(plan, tmp_path)
     keeper.take(NO_ROWS, frames_at((2_000, 1), (4_000, 0), (9_000, 1)), [BeginEvent(BEGIN)])
-    with (tmp_path / "frames.log").open("ab") as log:
-        log.write(b"(1000000000.0")
-    with (tmp_path / "frames.directions").open("ab") as directions:
-        directions.write(b"T\nR\nT")
+    keeper.flush()
+    with (tmp_path / "frames.arrow").open("ab") as log:
+        log.write(b"\xff\xff\xff\xff\x40\0\0\0half a batch")
     recover(plan, whole_outcome(COUNT), [], rings(frames=frames_at((10_000, 0))))
     assert written(tmp_path) == ["-0.001000 T", "0.001000 R", "0.006000 T", "0.007000 R"]
-    assert (tmp_path / "frames.directions").read_bytes() == b"T\nR\nT\nR\n"
     assert not (tmp_path / "frames.tail").exists()
 
 
 def test_without_frames_in_the_plan_none_are_written(plan: RecordingPlan, tmp_path: Path, rows: Rows) -> None:
     begun(plan, rows, COUNT)
     recover(replace(plan, frames=False), whole_outcome(COUNT), [], rings(frames=frames_at((10_000, 0))))
-    assert not (tmp_path / "frames.log").exists()
+    assert not (tmp_path / "frames.arrow").exists()
 
 
 def test_a_file_that_cannot_be_written_is_told_and_the_others_are_kept(
@@ -267,10 +265,10 @@ def test_a_file_that_cannot_be_written_is_told_and_the_others_are_kept(
 ) -> None:
     begun(plan, rows, 40)
     (tmp_path / "events.jsonl").write_text("[1]\n")
-    monkeypatch.setattr(FramesKeeper, "take", full)
+    monkeypatch.setattr("servobench.hil.recording.recovery.append_frames", full)
     summary = recover(plan, whole_outcome(COUNT), ["why"])
     why, frames, events = summary.recording_faults
-    assert (why, frames) == ("why", "frames.log ends before the run: No space left on device")
+    assert (why, frames) == ("why", "frames.arrow ends before the run: No space left on device")
     assert events.startswith("events.jsonl is not in run time: ")
     assert summary.cycles == COUNT
 

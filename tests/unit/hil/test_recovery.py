@@ -23,6 +23,7 @@ from servobench.hil.rows.records_file import read_records
 from servobench.hil.rows.side_rows import FRAME_DTYPE, BeginEvent, StateEvent
 from servobench.hil.verdict.plain_values import from_plain
 from servobench.hil.verdict.summary import Summary
+from tests.recorded_frames import candump_text
 from tests.rrd_columns import columns, numbers
 from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.row_tools import rows_of
@@ -90,7 +91,7 @@ def test_all_but_the_last_200_ms_are_there(run: Path) -> None:
     assert rows["sequence"].tolist() == wanted[: rows.size]
     assert CYCLES - rows.size <= 0.2 / PERIOD_S
     assert summary.cycles == rows.size
-    frames = (run / "frames.log").read_text()
+    frames = candump_text(run)
     assert CYCLES - frames.count("\n") <= 0.2 / PERIOD_S
     assert frames.endswith("\n")
     assert not (run / "records.tail").exists()
@@ -163,14 +164,14 @@ def test_half_entries_are_cut_off_and_a_torn_batch_is_made_up_for(run: Path) -> 
     records = run / "records.arrow"
     with open(records, "ab") as file:
         file.write(b"\xff\xff\xff\xff\x40\0\0\0half a batch")
-    with open(run / "frames.log", "a") as frames:
-        frames.write("(0000000000.0")
+    with open(run / "frames.arrow", "ab") as frames:
+        frames.write(b"\xff\xff\xff\xff\x40\0\0\0half a batch")
     before = (run / "records.tail").stat().st_size
     assert before > 24, "some rows are in no batch yet"
     assert recover(run)[0] == 0
     rows = np.concatenate(list(read_records(records)))
     assert CYCLES - rows.size <= 0.2 / PERIOD_S
-    assert (run / "frames.log").read_text().endswith("080#\n")
+    assert candump_text(run).endswith("080#\n")
 
 
 def test_a_whole_recording_is_not_touched(run: Path) -> None:

@@ -16,7 +16,7 @@ from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.hil.recording import rerun_anew
 from servobench.hil.recording.faults_file import BLOCK_DTYPE
 from servobench.hil.recording.log_files import FaultsKeeper
-from servobench.hil.recording.recovery import _as_many_directions, main, recover
+from servobench.hil.recording.recovery import main, recover
 from servobench.hil.recording.ring import RingReader
 from servobench.hil.recording.run_folder import read_summary
 from servobench.hil.recording.tail import TAIL_FILE
@@ -25,7 +25,6 @@ from servobench.hil.recording.whole_records import Rings, whole_records
 from servobench.hil.rows.recording_plan import ObservedDrive, RecordingPlan
 from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.hil.rows.records_file import RecordsWriter, is_whole
-from servobench.hil.rows.run_files import DIRECTIONS_FILE, FRAMES_FILE
 from servobench.hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, BeginEvent, TextEvent, frame_row
 from tests.rrd_columns import columns
 from tests.unit.hil import test_drawn_rows as drawn
@@ -103,7 +102,7 @@ def test_the_program_finishes_the_recording_and_prints_its_summary(
 def test_what_a_drive_told_beside_is_drawn_anew_from_the_frames(
     plan: RecordingPlan, tmp_path: Path, rows: Rows, wanted: bool, frames: bool
 ) -> None:
-    """Of frames.log, in run time; without a log there are none."""
+    """Of the frames, in run time; without them there are none."""
     begun(plan, rows, COUNT)
     told = drawn.frames(*drawn.MAPPING, drawn.pdo(-250, 48_000, BEGIN + 5_000))
     observed = {"axis1": ObservedDrive(3, 0, (drawn.TEMPERATURE,))} if wanted else {}
@@ -169,25 +168,3 @@ def test_records_that_find_the_disk_full_are_left_as_they_were(
     assert read(tmp_path).tobytes() == rows[:30].tobytes()
     assert (tmp_path / TAIL_FILE).exists()
     assert rerun_anew.ROOM_BYTES == 4 << 20
-
-
-@pytest.mark.parametrize(
-    ("frames", "directions", "left"),
-    [
-        ("a\nb\n", bytes(7), 4),
-        ("a\nb\nc\n", bytes(6), 6),
-        ("", bytes(6), 0),
-        (None, bytes(6), 6),
-        ("a\n", None, None),
-    ],
-)
-def test_directions_beyond_the_last_frame_go(
-    tmp_path: Path, frames: str | None, directions: bytes | None, left: int | None
-) -> None:
-    if frames is not None:
-        (tmp_path / FRAMES_FILE).write_text(frames)
-    path = tmp_path / DIRECTIONS_FILE
-    if directions is not None:
-        path.write_bytes(directions)
-    _as_many_directions(tmp_path)
-    assert (path.stat().st_size if path.exists() else None) == left

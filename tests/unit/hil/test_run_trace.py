@@ -11,7 +11,7 @@ from servobench.hil.reviewing.trace.decoder import decode
 from servobench.hil.reviewing.trace.log_frame import LogFrame
 from servobench.hil.reviewing.trace.run_trace import RecordedBus
 from servobench.hil.rows.records_file import RecordsWriter
-from servobench.hil.rows.run_files import DIRECTIONS_FILE, FIRST_CYCLE_EPOCH, FRAMES_FILE
+from servobench.hil.rows.run_files import DIRECTIONS_FILE, FIRST_CYCLE_EPOCH, FRAMES_LOG
 from servobench.hil.rows.side_rows import FRAME_DTYPE
 from tests.told import ROOT
 from tests.unit.drivers.eds_maker import Pdo, sheet_text
@@ -26,7 +26,7 @@ LINES = ("080#", "181#0102", "201#00", "581#4B776000F4010000", "601#407760000000
 def recorded(folder: Path, *lines: str, directions: str | None = None, **metadata: str) -> Path:
     """Frames a microsecond apart, the first at 100 s of the log."""
     log = [f"(100.{number:06d}) can0 {line}\n" for number, line in enumerate(lines)]
-    (folder / FRAMES_FILE).write_text("".join(log))
+    (folder / FRAMES_LOG).write_text("".join(log))
     if directions is not None:
         (folder / DIRECTIONS_FILE).write_text("".join(f"{letter}\n" for letter in directions))
     if metadata:
@@ -41,13 +41,14 @@ def test_a_folder_without_frames_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInput) as refused:
         RecordedBus(tmp_path)
     assert str(refused.value) == (
-        f"{tmp_path}: found 'no frames', expected a recording with frames.log (recording.frames of its bench)"
+        f"{tmp_path}: found 'no frames', "
+        "expected a recording with frames.arrow (recording.frames of its bench)"
     )
 
 
 def test_a_later_format_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match="expected a recording of format 4 or earlier"):
-        RecordedBus(recorded(tmp_path, *LINES, format="5"))
+    with pytest.raises(BadInput, match="expected a recording of format 5 or earlier"):
+        RecordedBus(recorded(tmp_path, *LINES, format="6"))
     assert RecordedBus(recorded(tmp_path, *LINES, format="4")).notes == []
 
 
@@ -86,8 +87,8 @@ def test_each_frame_has_its_own_direction_as_far_as_they_go(
 
 def test_directions_count_lines_of_the_log_whatever_they_hold(tmp_path: Path) -> None:
     folder = recorded(tmp_path, *LINES, directions="TTRTR")
-    lines = (folder / FRAMES_FILE).read_text().splitlines()
-    (folder / FRAMES_FILE).write_text("\n".join([lines[0], "no frame", *lines[2:]]) + "\n")
+    lines = (folder / FRAMES_LOG).read_text().splitlines()
+    (folder / FRAMES_LOG).write_text("\n".join([lines[0], "no frame", *lines[2:]]) + "\n")
     assert [(frame.number, frame.sent) for frame in RecordedBus(folder)] == [
         (1, "T"), (3, "R"), (4, "T"), (5, "R"),
     ]  # fmt: skip
@@ -95,7 +96,7 @@ def test_directions_count_lines_of_the_log_whatever_they_hold(tmp_path: Path) ->
 
 def test_frames_as_rows_count_from_the_first_cycle_and_by_segment(tmp_path: Path) -> None:
     folder = recorded(tmp_path, **{FIRST_CYCLE_EPOCH: str(ZERO_NS + 1_000)})
-    (folder / FRAMES_FILE).write_text(
+    (folder / FRAMES_LOG).write_text(
         "(100.000000) can0 080#\n(100.000001) axis 181#0102\n"
         "(100.000002) other 182#1122334455667788\n(100.000003) can0 123##0112233445566778899\n"
         "(100.000004) can0 20000008#0000000000000000\n(100.000005) last 183#FF\n"

@@ -195,7 +195,7 @@ def test_the_page_tells_result_limits_and_notes(plan: RecordingPlan) -> None:
     dead = summarise(FIGURES, RunOutcome(completed=False, reason="killed"), plan.review.limits, "", 7)
     assert "| Bus load | not measured |" in verdict_markdown(plan, dead)
     long = replace(
-        dead, recording_faults=("frames.log is incomplete: " + "no space left on the device; " * 4,)
+        dead, recording_faults=("frames.arrow is incomplete: " + "no space left on the device; " * 4,)
     )
     cells = [row.split("|")[2].strip() for row in verdict_markdown(plan, long).splitlines() if "|" in row]
     assert max(map(len, cells)) <= 60, "a cell shows one line, and cuts off what is longer"

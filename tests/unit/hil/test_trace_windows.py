@@ -7,7 +7,6 @@ by anything, node guarding, mappings changed in between, two segments, frames of
 import json
 import random
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,10 +19,10 @@ from servobench.drivers.wire.identifiers import ERROR_FLAG, EXTENDED_FLAG, REMOT
 from servobench.hil.cli import app
 from servobench.hil.recording.frame_files import FrameFiles
 from servobench.hil.reviewing.trace.bus_log import BusLog
+from servobench.hil.reviewing.trace.run_trace import RecordedBus
 from servobench.hil.rows.frames_index import INDEX_DTYPE, read_index
-from servobench.hil.rows.run_files import DIRECTIONS_FILE, FRAMES_FILE, INDEX_FILE
+from servobench.hil.rows.run_files import DIRECTIONS_FILE, FRAMES_LOG, INDEX_FILE
 from servobench.hil.rows.side_rows import FRAME_DTYPE, frame_row
-from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.test_run_trace import recorded
 
 FRAMES: Final = 600
@@ -94,17 +93,16 @@ def drawn_log(folder: Path, seed: int) -> None:
                 busy[channel, node] = transfer(dice, node)
                 continue
         lines.append(f"({at_s:.6f}) {channel} {text}\n")
-    (folder / FRAMES_FILE).write_text("".join(lines))
+    (folder / FRAMES_LOG).write_text("".join(lines))
     (folder / DIRECTIONS_FILE).write_text("".join(f"{dice.choice('TR')}\n" for _ in lines))
 
 
 def written_by_a_recorder(folder: Path, seed: int) -> None:
     """The same log as the files of a run's frames, in blocks; of every second one the index was cut off."""
-    dice, frames = random.Random(seed), list(BusLog(folder / FRAMES_FILE))
+    dice, frames = random.Random(seed), list(BusLog(folder / FRAMES_LOG))
     channels = list(dict.fromkeys(frame.channel for frame in frames))
     directions = (folder / DIRECTIONS_FILE).read_text()[::2]
-    plan = replace(plan_for(folder), bus=f"simulated:{channels[0]}", segments=tuple(channels[1:]))
-    files, rows = FrameFiles(replace(plan, wall_offset=Duration(0)), folder), list[bytes]()
+    files, rows = FrameFiles(folder, tuple(channels)), list[bytes]()
     for frame, way in zip(frames, directions, strict=True):
         flags = EXTENDED_FLAG if frame.extended else EXTENDED_FLAG | ERROR_FLAG if frame.error else 0
         flags |= REMOTE_FLAG if frame.remote else 0
@@ -112,12 +110,15 @@ def written_by_a_recorder(folder: Path, seed: int) -> None:
         rows.append(frame_row(Instant(frame.at_ns or 0), frame.can_id | flags, sent, frame.data))
     while rows:
         count = dice.randrange(1, 60)
-        files.write(np.frombuffer(b"".join(rows[:count]), FRAME_DTYPE), Instant(0))
+        files.write(np.frombuffer(b"".join(rows[:count]), FRAME_DTYPE), Duration(0))
         del rows[:count]
     files.close()
-    assert list(BusLog(folder / FRAMES_FILE)) == frames
+    told = [frame._replace(sent=way) for frame, way in zip(frames, directions, strict=True)]
+    assert list(RecordedBus(folder)) == told
+    (folder / FRAMES_LOG).unlink()
+    (folder / DIRECTIONS_FILE).unlink()
     index = (folder / INDEX_FILE).read_bytes()
-    assert len(read_index(folder, (folder / FRAMES_FILE).stat().st_size)) * INDEX_DTYPE.itemsize == len(index)
+    assert len(read_index(folder)) * INDEX_DTYPE.itemsize == len(index)
     if seed % 2:
         (folder / INDEX_FILE).write_bytes(index[: dice.randrange(len(index))])
 

@@ -98,7 +98,7 @@ def test_a_torque_that_swings_is_told_where_it_was_measured() -> None:
 
 
 def test_a_long_text_goes_on_in_the_next_row() -> None:
-    fault = "frames.log is incomplete: " + "no space left on the device | " * 3
+    fault = "frames.arrow is incomplete: " + "no space left on the device | " * 3
     rows = [row for row in rows_of_page(recording_faults=(fault, "short", "")) if row not in rows_of_page()]
     cells = [row[2:-2].partition(" | ")[::2] for row in rows]
     assert [title for title, _ in cells] == ["Recording lacks", "", "", "Recording lacks", "Recording lacks"]

@@ -234,7 +234,7 @@ def test_of_a_commissioning_the_page_is_made(monkeypatch: pytest.MonkeyPatch, tm
 
     monkeypatch.setattr(viewer, "commissioning_page", make)
     (tmp_path / "recording").mkdir()
-    (tmp_path / "recording" / "frames.log").touch()
+    (tmp_path / "recording" / "frames.arrow").touch()
     assert page_file(tmp_path) == tmp_path / "page.rrd"
     assert made == [tmp_path]
 

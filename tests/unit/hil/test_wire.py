@@ -15,6 +15,7 @@ from servobench.hil.configuration.config_checks import standard_plan
 from servobench.hil.rows.frame_names import frame_name
 from servobench.hil.rows.records_file import RecordsWriter
 from servobench.hil.testing.wire import Controlword, SeenFrame, Wire, intended_frames, pdo_plans, read_wire
+from tests.recorded_frames import write_frames
 from tests.unit.drivers.eds_maker import four_pdos, sheet_text
 from tests.unit.hil.made_runs import BENCH
 
@@ -215,12 +216,13 @@ def test_an_axis_without_a_sheet_has_the_standard_plan() -> None:
 
 
 def test_a_recorded_wire_is_read_back_in_run_time(tmp_path: Path) -> None:
-    (tmp_path / "frames.log").write_text(
+    write_frames(
+        tmp_path,
         "(0000000005.000100) simulated 601#4041600000000000\n"
         "(0000000005.000200) simulated 18ABCDEF#0102\n"
-        "(0000000005.000300) simulated 701#R\n"
+        "(0000000005.000300) simulated 701#R\n",
+        "TRR",
     )
-    (tmp_path / "frames.directions").write_text("T\nR\nR\n")
     writer = RecordsWriter(tmp_path / "records.arrow")
     writer.begin({"first_cycle_epoch_ns": "5000000000"}, Instant(0))
     writer.close()
@@ -231,6 +233,7 @@ def test_a_recorded_wire_is_read_back_in_run_time(tmp_path: Path) -> None:
         (300_000, False, "701#R"),
     ]
     assert (found.zero, found.recording) == (0, tmp_path)
+    (tmp_path / "frames.arrow").unlink()
     (tmp_path / "frames.log").write_text("nonsense\n")
     with pytest.raises(ValueError, match="no line of a candump log") as caught:
         read_wire(tmp_path)

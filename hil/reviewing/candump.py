@@ -2,8 +2,8 @@
 
     (1436509052.249713) can0 123#11223344
 
-Which of them the bench sent has no place in that format: Wireshark refuses a line with more in it. It is told
-line by line beside it. The lines are made by columns, ~0.2 us each.
+Which of them the bench sent has no place in that format: Wireshark refuses a line with more in it. The lines
+are made by columns, ~0.2 us each.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from servobench.drivers.timebase import NS_PER_US
 from servobench.drivers.wire.identifiers import EXTENDED_FLAG, REMOTE_FLAG
-from servobench.hil.rows.run_files import DIRECTION_BYTES
 
 _HEX = np.frombuffer(b"0123456789ABCDEF", np.uint8)
 _IDENTIFIER_MASK = (1 << 30) - 1
@@ -23,12 +22,10 @@ _SECONDS_DIGITS = 10
 _DIGIT_WEIGHTS = 10 ** np.arange(_SECONDS_DIGITS + 6 - 1, -1, -1, dtype=np.int64)
 
 
-def candump_lines(
-    rows: NDArray[np.void], interface: str, wall_offset_ns: int, segments: Sequence[str] = ()
-) -> bytes:
-    """The lines of ``rows``: (n,) of FRAME_DTYPE. The stamp is ``at`` + ``wall_offset_ns``, to 1 us.
+def candump_lines(rows: NDArray[np.void], interfaces: Sequence[str]) -> bytes:
+    """The lines of ``rows``: (n,) of FRAME_DTYPE, their ``at`` ns since 1970, told to 1 us.
 
-    ``segments``: names of those after the first one, whose frames bear their own name for an interface.
+    ``interfaces``: names by segment.
     """
     if not rows.size:
         return b""
@@ -42,13 +39,13 @@ def candump_lines(
         block = np.broadcast_to(np.frombuffer(letters.encode(), np.uint8), (count, len(letters)))
         parts.append((block, np.broadcast_to(where, block.shape)))
 
-    stamp = _decimal_digits((rows["at"] + wall_offset_ns) // NS_PER_US)
+    stamp = _decimal_digits(rows["at"] // NS_PER_US)
     text("(")
     parts.append((stamp[:, :_SECONDS_DIGITS], np.broadcast_to(always, (count, _SECONDS_DIGITS))))
     text(".")
     parts.append((stamp[:, _SECONDS_DIGITS:], np.broadcast_to(always, (count, 6))))
     text(") ")
-    for number, name in enumerate((interface, *segments)):
+    for number, name in enumerate(interfaces):
         text(name, (rows["sent"] >> 1 == number)[:, None])
     text(" ")
     identifier = _hex_digits(rows["can_id"] & _IDENTIFIER_MASK)
@@ -65,13 +62,6 @@ def candump_lines(
     letters = np.concatenate([part for part, _ in parts], 1)
     lines: bytes = letters[np.concatenate([kept for _, kept in parts], 1)].tobytes()
     return lines
-
-
-def direction_lines(rows: NDArray[np.void]) -> bytes:
-    """A line for each of ``rows``, (n,) of FRAME_DTYPE: T was sent by the bench, R was received by it."""
-    lines = np.full((rows.size, DIRECTION_BYTES), ord("\n"), np.uint8)
-    lines[:, 0] = np.where(rows["sent"] & 1, ord("T"), ord("R"))
-    return lines.tobytes()
 
 
 def _decimal_digits(values: NDArray[np.int64]) -> NDArray[np.uint8]:

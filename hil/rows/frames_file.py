@@ -1,0 +1,229 @@
+"""The frames of a recording on disk, by column: an Arrow IPC file (Feather version 2) with zstd.
+
+As in records.arrow the batches are written as they come and the footer at the end; a truncated file is read
+up to its last whole batch. Here each batch is also read by its place in the file, so that a window of an hour
+costs its own batches.
+"""
+
+import json
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from servobench.drivers.errors import BadInput
+from servobench.drivers.wire.identifiers import (
+    ERROR_FLAG,
+    EXTENDED_FLAG,
+    EXTENDED_ID_MAX,
+    REMOTE_FLAG,
+)
+from servobench.hil.rows.records_file import MAGIC, finish_file, length_of_batch
+from servobench.hil.rows.run_files import FORMAT
+from servobench.hil.rows.side_rows import FRAME_DTYPE
+
+BATCH_FRAMES: Final = 8_192
+"""Frames of a batch, at 6 to 10 bytes each; a window decodes whole batches, in some 1 ms each."""
+FRAMES_MAX: Final = 1 << 20
+"""Of a batch that is believed."""
+_OPTIONS: Final = pa.ipc.IpcWriteOptions(compression="zstd")
+_BYTES: Final = np.arange(8, dtype=np.uint8)
+_DAMAGED: Final = "it is damaged; hil runs shows what it came to"
+
+
+def _field(name: str, kind: pa.DataType, meaning: str, **more: str) -> pa.Field:
+    return pa.field(name, kind, nullable=False, metadata={"meaning": meaning, **more})
+
+
+def frames_schema(interfaces: Sequence[str]) -> pa.Schema:
+    """Return the columns; ``interfaces``: their names by segment."""
+    codes = json.dumps(dict(enumerate(interfaces)))
+    return pa.schema(
+        [
+            _field("stamp", pa.timestamp("ns", tz="UTC"), "when it was on the bus, or handed over"),
+            _field("segment", pa.uint8(), "interface", codes=codes),
+            _field("sent", pa.bool_(), "by the bench; else received by it"),
+            _field("can_id", pa.uint32(), "11 or 29 bits; of an error frame its class"),
+            _field("extended", pa.bool_(), "29 bits"),
+            _field("remote", pa.bool_(), "a remote frame"),
+            _field("error", pa.bool_(), "an error frame of the adapter"),
+            _field("dlc", pa.uint8(), "length of the data", unit="bytes"),
+            _field("data", pa.binary(), "the bytes"),
+        ],
+        metadata={"format": FORMAT, "interfaces": json.dumps(list(interfaces))},
+    )
+
+
+def batch_of(frames: NDArray[np.void], offset: int, schema: pa.Schema) -> pa.RecordBatch:
+    """Return a batch of (n,) of FRAME_DTYPE; ``offset``: epoch minus their clock, ns."""
+    count, ids = frames.size, frames["can_id"]
+    error = (ids & ERROR_FLAG) != 0
+    lengths = np.minimum(frames["length"], 8)
+    begins = np.zeros(count + 1, np.int32)
+    np.cumsum(lengths, out=begins[1:])
+    payload = frames["data"][lengths[:, None] > _BYTES].tobytes()
+    data = pa.Array.from_buffers(pa.binary(), count, [None, pa.py_buffer(begins), pa.py_buffer(payload)])
+    columns = [
+        pa.array(frames["at"] + offset, pa.int64()).cast(schema.field("stamp").type),
+        pa.array(frames["sent"] >> 1),
+        pa.array((frames["sent"] & 1) != 0),
+        pa.array(ids & EXTENDED_ID_MAX),
+        pa.array(((ids & EXTENDED_FLAG) != 0) & ~error),
+        pa.array((ids & REMOTE_FLAG) != 0),
+        pa.array(error),
+        pa.array(np.ascontiguousarray(frames["length"])),
+        data,
+    ]
+    return pa.record_batch(columns, schema=schema)
+
+
+def frames_of(batch: pa.RecordBatch) -> NDArray[np.void]:
+    """Return (n,) of FRAME_DTYPE whose ``at`` is the stamp, ns since 1970: inverse of :func:`batch_of`."""
+    frames = np.zeros(batch.num_rows, FRAME_DTYPE)
+
+    def column(name: str) -> NDArray[np.generic]:
+        values: NDArray[np.generic] = batch.column(name).to_numpy(zero_copy_only=False)
+        return values
+
+    frames["at"] = batch.column("stamp").cast(pa.int64()).to_numpy()
+    error, extended = column("error").astype(bool), column("extended").astype(bool)
+    # linux/can.h: an error frame has a 29-bit identifier, its class
+    flags = np.where(extended | error, EXTENDED_FLAG, 0) | np.where(error, ERROR_FLAG, 0)
+    flags |= np.where(column("remote").astype(bool), REMOTE_FLAG, 0)
+    frames["can_id"] = column("can_id").astype(np.int64) | flags
+    frames["sent"] = column("segment").astype(np.uint8) << 1 | column("sent").astype(np.uint8)
+    frames["length"] = column("dlc")
+    data = batch.column("data")
+    _, offsets, payload = data.buffers()
+    begins = np.frombuffer(offsets, np.int32, batch.num_rows + 1, data.offset * 4)
+    lengths = np.diff(begins)
+    if batch.num_rows and (lengths.min() < 0 or lengths.max() > 8):
+        raise ValueError("data of more than 8 bytes")
+    if payload is not None:
+        held = np.frombuffer(payload, np.uint8)[begins[0] : begins[-1]]
+        frames["data"][lengths[:, None] > _BYTES] = held
+    return frames
+
+
+class FrameBatch(NamedTuple):
+    """A batch where it lies in the file."""
+
+    begin: int
+    end: int
+    """Bytes."""
+    frames: NDArray[np.void]
+    """(n,) of FRAME_DTYPE, ``at`` ns since 1970."""
+
+
+class FramesWriter:
+    """Appends batches to a new file. Every method may raise OSError, and leaves whole batches then."""
+
+    def __init__(self, path: Path, interfaces: Sequence[str]) -> None:
+        self._path = path
+        self._file = pa.OSFile(str(path), "wb")
+        self._schema = frames_schema(interfaces)
+        self._writer = pa.ipc.new_file(self._file, self._schema, options=_OPTIONS)
+        self.write(np.empty(0, FRAME_DTYPE), 0)  # nothing is on disk before the first batch
+
+    def write(self, frames: NDArray[np.void], offset: int) -> int:
+        """Append one batch of (n,) of FRAME_DTYPE; ``offset``: epoch minus their clock, ns. Return the byte
+        at which it begins."""
+        return self._append(batch_of(frames, offset, self._schema))
+
+    def copy(self, path: Path) -> int:
+        """Append the whole batches of a file to the byte; return how many frames they have."""
+        count = 0
+        for _, _, batch in _batches(path):
+            if batch.num_rows:  # the head has the empty one
+                self._append(batch)
+                count += batch.num_rows
+        return count
+
+    def close(self) -> None:
+        """Write the footer."""
+        self._writer.close()
+        self._file.close()
+
+    def drop(self) -> None:
+        """Close the file as it is."""
+        self._file.close()
+
+    def _append(self, batch: pa.RecordBatch) -> int:
+        begin: int = self._file.tell()
+        try:
+            self._writer.write_batch(batch)
+        except OSError:
+            with suppress(OSError):
+                os.truncate(self._path, begin)
+            raise
+        return begin
+
+
+def read_interfaces(path: Path) -> tuple[str, ...]:
+    """Names by segment; empty of a file that was truncated before its head. Raises BadInput."""
+    schema = _schema_of(path)
+    try:
+        told = json.loads((schema.metadata or {})[b"interfaces"]) if schema is not None else []
+    except (KeyError, ValueError) as error:
+        raise BadInput(str(path), "interfaces", repr(error), "their names", _DAMAGED) from None
+    return tuple(map(str, told))
+
+
+def read_batches(path: Path, begin: int = 0) -> Iterator[FrameBatch]:
+    """Yield the batches in order, from the one at byte ``begin`` on. A truncated one ends the file.
+
+    Raises BadInput for one that holds no frames.
+    """
+    for place, end, batch in _batches(path, begin):
+        try:
+            frames = frames_of(batch)
+        except (pa.ArrowException, ValueError, TypeError, LookupError) as error:
+            said = (str(error).splitlines() or [type(error).__name__])[0]
+            raise BadInput(str(path), f"byte {place}", said, "a batch of frames", _DAMAGED) from None
+        yield FrameBatch(place, end, frames)
+
+
+def finish_frames(path: Path) -> None:
+    """Give a truncated file its footer; needs room for that only. Error: OSError."""
+    schema = _schema_of(path) or frames_schema(())
+    finish_file(path, schema, lambda: (batch for _, _, batch in _batches(path)))
+
+
+def _schema_of(path: Path) -> pa.Schema | None:
+    with pa.OSFile(str(path), "rb") as source:
+        try:
+            source.seek(len(MAGIC))
+            return pa.ipc.read_schema(source)
+        except (pa.ArrowException, OSError, EOFError):
+            return None
+
+
+def _batches(path: Path, begin: int = 0) -> Iterator[tuple[int, int, pa.RecordBatch]]:
+    """Yield each whole batch behind its first byte and the one behind its last."""
+    schema = None
+    with pa.OSFile(str(path), "rb") as source:
+        try:
+            source.seek(len(MAGIC))
+            schema = pa.ipc.read_schema(source)
+            if begin:
+                source.seek(begin)
+            while True:
+                place = source.tell()
+                message = pa.ipc.read_message(source)
+                if message.type != "record batch":
+                    return
+                length = length_of_batch(message)
+                if not 0 <= length <= FRAMES_MAX:
+                    raise BadInput(
+                        str(path), f"byte {place}", f"{length} frames", f"at most {FRAMES_MAX}", _DAMAGED
+                    )
+                batch = pa.ipc.read_record_batch(message, schema)
+                batch.validate(full=True)
+                yield place, source.tell(), batch
+        except (pa.ArrowException, OSError, EOFError):
+            return
