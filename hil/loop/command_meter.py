@@ -146,7 +146,7 @@ class CommandMeter:
             for place in range(max(in_force, self._past), len(followed))
             if followed[place].raw == demand_raw
             and followed[place].may_be_there(until)
-            and not followed[place].acted_before(since)
+            and (self._unordered or not followed[place].acted_before(since))
         ]
         if not equal:
             self._unordered = self._unordered or self._equals_older(demand_raw, in_force)

@@ -39,3 +39,8 @@ def test_syncs_that_wait_rest_on_their_echoes() -> None:
     """Other traffic holds them up by up to 120 us, and echoes are 7 us late: the hand-over was taken for the
     better of both, by a hair."""
     assert verdict_of(402424, 60).readings.uncertain <= 30
+
+
+def test_a_command_that_equals_an_older_one_may_be_told_by_a_copy_of_that() -> None:
+    """It was replaced before it acted, and "acting" as the older one came once more."""
+    verdict_of(410088, 260)
