@@ -13,8 +13,7 @@ from typing import Any
 import pytest
 
 from servobench.hil.verdict.verdict import ExitStatus
-from tests.scenario.processes import Observer, quiet_environment, simulated_drive
-from tests.vcan.struck_run import struck
+from tests.scenario.processes import quiet_environment, simulated_drive
 from tests.warm.start import hil, python
 
 SLOW = Path(__file__).with_name("slow.toml")
@@ -99,21 +98,6 @@ def test_a_controller_that_only_listens_is_named_before_anything_moves(
     status, ran = _hil("run", str(SLOW), "--bus", f"socketcan:{channel}", "--record", str(folder), "--json")
     assert (status, ran["cycles"]) == (ExitStatus.PEER_FAULT, 0)
     assert f"{channel} only listens: ip link set {channel} down" in ran["verdict"]["reason"]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("driven", [10], indirect=True)
-def test_a_controller_that_only_listens_from_some_moment_on_ends_a_run_and_is_named(
-    driven: IpLink, channel: str, other: str, tmp_path: Path
-) -> None:
-    def strike(_watching: Observer, _command: int) -> None:
-        driven("down")
-        driven("up", "type", "can", "bitrate", "1000000", "listen-only", "on")
-
-    ended = struck(f"socketcan:{other}", tmp_path, strike, passes=False, adapter=channel, quick=False)
-    assert ended.status == ExitStatus.PEER_FAULT, ended
-    assert f"{channel} only listens: ip link set {channel} down" in ended.said
-    print(f"at rest after {ended.rest_s:.2f} s; {ended.missed} missed, {ended.lost} lost or late")
 
 
 def _hil(*words: str) -> tuple[int, dict[str, Any]]:

@@ -52,11 +52,10 @@ def struck(
     passes: bool,
     adapter: str = ADAPTER,
     by: Sequence[str] | None = None,
-    quick: bool = True,
 ) -> Ended:
-    """A run of 6 s on ``adapter`` that is struck; ``passes``: the drive is to turn on, else to come to rest.
-    ``by``: another command than the forked ``hil``. ``quick``: at 50 Hz, else at 10 Hz."""
-    bench, record, rest_s = _bench(folder, quick), folder / "run", None
+    """A run of 6 s at 50 Hz on ``adapter`` that is struck; ``passes``: the drive is to turn on, else to come
+    to rest. ``by``: another command than the forked ``hil``."""
+    bench, record, rest_s = _bench(folder), folder / "run", None
     command = ["run", str(bench), "--bus", f"socketcan:{adapter}", "--record", str(record)]
     process = in_background([*(hil() if by is None else by), *command])
     with observer(far) as watching:
@@ -74,16 +73,13 @@ def struck(
     return Ended(process.returncode, said, texts, summary, rows, rest_s)
 
 
-def _bench(folder: Path, quick: bool) -> Path:
-    """The bench of a machine that is late, ``quick`` five times as fast. It and its drive mind a silence of
-    2 s."""
+def _bench(folder: Path) -> Path:
+    """The bench of a machine that is late, five times as fast. It and its drive mind a silence of 2 s."""
     text = SLOW.read_text(encoding="utf-8").replace("../../examples", str(EXAMPLES))
-    times = {"duration_s = 3.0": "duration_s = 6.0"}
-    if quick:
-        times |= {"100_000": "20_000", "60_000": "12_000", "90_000": "18_000"}
-    for slow, changed in times.items():
+    times = ("100_000", "60_000", "90_000"), ("20_000", "12_000", "18_000")
+    for slow, quick in (*zip(*times, strict=True), ("duration_s = 3.0", "duration_s = 6.0")):
         assert text.count(slow) == 1
-        text = text.replace(slow, changed)
+        text = text.replace(slow, quick)
     path = folder / "bench.toml"
     path.write_text(text, encoding="utf-8")
     return path
