@@ -15,6 +15,7 @@ import pytest
 
 from servobench.drivers.timebase import NS_PER_S
 from servobench.hil.verdict.verdict import ExitStatus
+from tests.recorded_frames import candump_text
 from tests.scenario.processes import HIL, Observer, family_of
 from tests.stillness import Untrue
 from tests.vcan.adapter import ADAPTER, drive_beside
@@ -63,7 +64,7 @@ def test_what_the_kernel_dropped_in_a_run_is_told_by_number(far: str, tmp_path: 
     ended = struck(far, tmp_path, strike, passes=True, by=[*UNPRIVILEGED, *HIL])
     assert ended.status in (ExitStatus.PASSED, ExitStatus.NOT_TRUSTWORTHY), ended.said
     dropped = sum(map(int, re.findall(rf"{ADAPTER} dropped (\d+) frames", ended.events)))
-    heard = (tmp_path / "run" / "frames.log").read_text(encoding="utf-8").count(f" {FLOOD_ID:X}#")
+    heard = candump_text(tmp_path / "run").count(f" {FLOOD_ID:X}#")
     assert 0 < heard < FLOOD
     if heard + dropped < FLOOD:
         raise Untrue(f"of {FLOOD} frames {heard} were heard, {dropped} told as dropped")
