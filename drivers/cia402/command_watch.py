@@ -117,8 +117,9 @@ class CommandWatch:
 
     def _stays(self, raw: int) -> bool:
         """Return True if the demand has stayed the same for longer than chance, or a ramp, explains."""
-        often = self._same >= TOLD_THE_SAME if self._equal else not self._is_near(raw)
-        return often and self._sent - self._changed >= self._stays_for
+        if self._sent - self._changed < self._stays_for:
+            return False
+        return self._same >= TOLD_THE_SAME if self._equal else not self._is_near(raw)
 
     def _is_near(self, raw: int) -> bool:
         """Return True if the newest half of the last commands sway about it: it is one of them or, for a

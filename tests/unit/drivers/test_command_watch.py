@@ -270,3 +270,11 @@ def test_a_drive_whose_own_ramp_is_slow_is_given_the_time_for_two_units() -> Non
     told = [300] * 50 + [300 + cycle // 100 for cycle in range(950)]
     assert run(CommandWatch(CYCLES, 1, equal=False, unit_cycles=100), commands, told) is None
     assert run(CommandWatch(CYCLES, 1, equal=False), commands, told) is not None
+
+
+@pytest.mark.parametrize("equal", [True, False])
+def test_a_drive_that_tells_before_its_first_command_is_not_judged(equal: bool) -> None:
+    watch = CommandWatch(CYCLES, 0, equal=equal, least_raw=None if equal else 1)
+    for told in (0, 0, 7, 7, 7):
+        watch.told(told)
+    assert watch.follows
