@@ -33,6 +33,8 @@ WAITS: Final = 16
 """Readings behind one that is certain: if one too many had come, there would be more than SYNCs by then."""
 WAITS_LOST: Final = 48
 """The same of one that rests on a loss: those of a delay that has grown would have come too soon."""
+WIDEST: Final = 2
+"""Periods: in a queue that holds frames for longer few come soon enough to show that a delay has grown."""
 KEPT: Final = 64
 """Readings that may become certain: rows wait for no more."""
 BLURRED: Final = 4
@@ -92,7 +94,8 @@ class KeptOrder:
         if self._distrusted or (self._syncs.basis in STAMPED_LATE and not self._syncs.of_another):
             return False  # an echo may be stamped behind the reading that it is followed by
         kept = self._frames_apart and self._overtaken < OVERTAKEN_MOST
-        return kept and self._seen >= SEEN_MIN and self._high - self._low >= self._period
+        spread = self._high - self._low
+        return kept and self._seen >= SEEN_MIN and self._period <= spread < WIDEST * self._period
 
     def take(self, reading: Reading, known: int, copy: bool) -> PlacedInOrder | None:
         """Take the next reading; None if it says nothing. ``known``: number of the last SYNC whose reading
