@@ -131,8 +131,11 @@ class UsualDelays:
         )
 
     def are_within(self, low: int, spread: int, tolerance: int) -> bool:
-        """Whether delays from ``low`` over ``spread`` hold the usual ones, and none that cannot be."""
-        if low + tolerance < min(self.low, self._transit - self._echo_error):
+        """Whether delays from ``low`` over ``spread`` hold the usual ones, and none below the least of them.
+
+        Delays that grew by a little less than whole periods would show some.
+        """
+        if low + tolerance < self.low:
             return False
         return low <= self.low + tolerance and low + spread >= self.high - tolerance
 

@@ -312,13 +312,21 @@ def test_a_shift_beyond_a_sync_that_was_not_heard_is_counted_with_it() -> None:
     assert rig.told == [f"its readings come {(PERIOD + DELAY) // 1000} us after their SYNC now"]
 
 
-@pytest.mark.parametrize("frame", [TRANSIT, -TRANSIT // 2], ids=["later", "sooner"])
-def test_delays_that_hold_the_usual_ones_are_those_of_before_where_a_reading_was_lost(frame: int) -> None:
-    """Another node's frame comes in front of some of them, or no longer does."""
+def delays_after_a_loss(frame: int) -> list[Sample | None]:
+    """The readings behind one that was lost, most of them off by ``frame``."""
     rig = Rig()
     for number in range(2, 8):
         rig.answered(number)
-    samples = [rig.answered(number, delay=DELAY + (number % 7 > 2) * frame) for number in range(9, 140)]
+    return [rig.answered(number, delay=DELAY + (number % 7 > 2) * frame) for number in range(9, 140)]
+
+
+def test_delays_below_the_usual_ones_may_have_grown_by_a_little_less_than_whole_periods() -> None:
+    assert not any(sample is not None and sample.certain for sample in delays_after_a_loss(-TRANSIT // 2))
+
+
+def test_delays_that_hold_the_usual_ones_are_those_of_before_where_a_reading_was_lost() -> None:
+    """Another node's frame comes in front of some of them."""
+    samples = delays_after_a_loss(TRANSIT)
     settled = next(place for place, sample in enumerate(samples) if sample is not None and sample.certain)
     assert settled < HELD_MAX
     assert [sample.sequence for sample in samples if sample is not None] == list(range(9, 140))
