@@ -23,7 +23,7 @@ def set_points(dictionary: ObjectDictionary, zero: bool) -> SetPoints:
     """Each set-point object of the drive with its present value, or where ``zero`` with that at which the
     shaft is asked for no torque, no speed and no other position than it has."""
     held: SetPoints = []
-    for places, stays in ((_POSITIONS, int(dictionary.variable(_ACTUAL_POSITION).value)), (_OTHERS, 0)):
+    for places, stays in ((_POSITIONS, int(dictionary.variable(_ACTUAL_POSITION).read())), (_OTHERS, 0)):
         for index, subindex in places:
             variable = dictionary.known(index, subindex)
             if variable is not None:
