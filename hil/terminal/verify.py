@@ -21,7 +21,7 @@ def verify(
     Exit status: 0 proved, 1 a figure is not proved or a file was changed, 2 a file has no such certificate.
 
     Examples:
-      hil verify examples/controllers/ling2012-static.toml   # of hil init --examples
+      hil verify examples/controllers/ling2012-static.toml   # hil init --examples
     """
     from servobench.hil.studies.speed.verification import verified
 
