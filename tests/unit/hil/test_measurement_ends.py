@@ -1,5 +1,6 @@
 """Every way out of a measurement: rest, everything put back, and what failed told with what to do."""
 
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -44,6 +45,7 @@ class Ends:
             "progress": lambda stage, _seconds: self.done.append(stage),
             "world": SimpleNamespace(
                 clock=network.clock,
+                settings_told=nullcontext,
                 faults=SimpleNamespace(
                     stop=lambda: self.done.append("no faults"), finish=lambda: self.done.append("finish")
                 ),
