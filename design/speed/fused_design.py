@@ -44,6 +44,8 @@ _EXCESS = 50.0
 _EVALUATIONS, _ROUNDS = 180, 2
 _POLES = (0.15, 0.4, 0.9)
 """Speed poles that are tried first, over the inverse of the time until a command can act."""
+_TORQUE_POLE = 0.8
+"""Torque pole that is tried first, of the current loop's rate: the search moves it either way."""
 _SPEED_WALK = 0.1
 """First walk of the speed, of what the walk of the load makes within a period."""
 _WALKS = (0.05, 0.3, 2.0)
@@ -131,11 +133,11 @@ def design_fused(asked: FusedRequest) -> FusedDesign:
         seen = _SIGMAS * speed_rad_s / request.floor_rad_s()
         return peak_cost(found.ratio) + seen + _EXCESS * excess
 
+    fast = _TORQUE_POLE * request.current_rate_rad_s
     starts = [
-        np.log([walk * rated_nm, _SPEED_WALK * walk * rated_nm * of_load, pole / around_s, 0.8 * rate])
+        np.log([walk * rated_nm, _SPEED_WALK * walk * rated_nm * of_load, pole / around_s, fast])
         for walk in _WALKS
         for pole in _POLES
-        for rate in (request.current_rate_rad_s,)
     ]
     best = min(starts, key=cost)
     for _ in range(_ROUNDS):

@@ -49,6 +49,20 @@ def append_frames(
         finish_frames(path)
         return
     part = path.with_name(f"{path.name}.part")
+    try:
+        _write_anew(part, path, interfaces, frames, offset)
+        part.replace(path)
+    except OSError:
+        part.unlink(missing_ok=True)
+        if path.exists():
+            with suppress(OSError):
+                finish_frames(path)
+        raise
+
+
+def _write_anew(
+    part: Path, path: Path, interfaces: tuple[str, ...], frames: NDArray[np.void], offset: Duration
+) -> None:
     writer = FramesWriter(part, interfaces)
     try:
         if path.exists():
@@ -56,13 +70,8 @@ def append_frames(
         for each in parts_of(frames):
             writer.write(each, offset)
         writer.close()
-        part.replace(path)
     except OSError:
         writer.drop()  # a file that is open keeps its room on the disk
-        part.unlink(missing_ok=True)
-        if path.exists():
-            with suppress(OSError):
-                finish_frames(path)
         raise
 
 
