@@ -91,6 +91,16 @@ def test_a_function_replaced_by_the_user_s_code_is_named_and_the_drive_is_stoppe
     assert json.loads(out)["verdict"] == summary_of(tmp_path / "run")["verdict"]
 
 
+def test_housekeeping_that_is_no_longer_done_holds_up_no_simulated_time(tmp_path: Path) -> None:
+    """It stays due, and time went no further."""
+    silent = "put('servobench.drivers.canopen.life_signs:LifeSigns.keep', lambda *_, **__: {})"
+    bench = with_hooks(changed_bench(tmp_path), "output", silent)
+    process = start_run(bench, "simulated", tmp_path / "run")
+    out, said = process.communicate(timeout=60)
+    assert process.returncode in (3, 6), said
+    assert not json.loads(out)["verdict"]["passed"]
+
+
 def test_a_terminal_that_is_stopped_holds_no_run_up(tmp_path: Path) -> None:
     """Ctrl-S, from its start until all is recorded; a controller that says more than the terminal takes."""
     keyboard, terminal = os.openpty()
