@@ -19,8 +19,9 @@ class FrameFiles:
 
     def __init__(self, folder: Path, interfaces: tuple[str, ...]) -> None:
         """``interfaces``: names by segment."""
-        self._columns = FramesWriter(folder / FRAMES_FILE, interfaces)
-        self._indexed = AppendFile(folder / INDEX_FILE)
+        self._folder, self._interfaces = folder, interfaces
+        (folder / FRAMES_FILE).touch()  # its head needs room, which only writing may lack
+        self._files: tuple[FramesWriter, AppendFile] | None = None
         self._index = FramesIndex(len(interfaces))
         self.written = 0
         """Frames."""
@@ -28,14 +29,21 @@ class FrameFiles:
     def write(self, frames: NDArray[np.void], offset: Duration) -> None:
         """Put (n,) of FRAME_DTYPE behind the others; ``offset``: epoch minus their clock."""
         for part in parts_of(frames):
-            begin = self._columns.write(part, offset)
+            columns, index = self._opened()
+            begin = columns.write(part, offset)
             self.written += part.size
-            self._indexed.write(self._index.rows(part, begin, offset).tobytes())
+            index.write(self._index.rows(part, begin, offset).tobytes())
 
     def close(self) -> None:
         """Nothing comes any more."""
-        self._columns.close()
-        self._indexed.close()
+        for file in self._opened():
+            file.close()
+
+    def _opened(self) -> tuple[FramesWriter, AppendFile]:
+        if self._files is None:
+            columns = FramesWriter(self._folder / FRAMES_FILE, self._interfaces)
+            self._files = columns, AppendFile(self._folder / INDEX_FILE)
+        return self._files
 
 
 def append_frames(
