@@ -17,7 +17,6 @@ import pytest
 
 from servobench.hil.reviewing.trace.bus_log import BusLog
 from servobench.hil.reviewing.trace.decoder import decode
-from servobench.hil.reviewing.trace.log_frame import LogFrame
 from servobench.hil.reviewing.trace.node_objects import KnownNodes, SheetFile
 from servobench.hil.reviewing.trace.run_trace import RecordedBus
 from servobench.hil.reviewing.trace.trace_entry import TraceEntry
@@ -25,6 +24,7 @@ from servobench.hil.rows.run_files import RECORDS_FILE
 from servobench.hil.testing.bench_runs import BenchRunner
 from tests.canopen_session import TEXT, Witnessed, session
 from tests.recorded_frames import candump
+from tests.scenario.foreign_logs import SLL2_HEAD, SLL_HEAD, capture
 from tests.scenario.processes import EXAMPLES
 from tests.scenario.test_recording_is_read_by_others import TSHARK_MAX_S, lacking
 from tests.unit.virtual_bus.device_bench import NODE, NOTE, TARGET
@@ -38,7 +38,6 @@ FIELDS = (
 )  # fmt: skip
 NMT = {0x01: "start", 0x02: "stop", 0x80: "enter pre operational", 0x81: "reset node"}
 STATES = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
-SLL_HEAD, SLL2_HEAD = pack(">HHH8sH", 4, 280, 0, b"", 0x0C), pack(">HHIHBB8s", 0x0C, 0, 3, 280, 4, 0, b"")
 
 
 class Dissected(NamedTuple):
@@ -232,16 +231,6 @@ def test_block_transfers_are_whole(log: Path) -> None:
     assert [dict(entry.details)["notes"] for entry in blocks] == [[], []]
 
 
-def capture_of(frames: list[LogFrame], kind: int, head: bytes, order: str, id_order: str) -> bytes:
-    """As libpcap writes it, with stamps in ns; the payload by the link-type pages of tcpdump.org."""
-    text = pack(order + "IHHiIII", 0xA1B23C4D, 2, 4, 0, 0, 65535, kind)
-    for frame in frames:
-        word = frame.can_id | frame.extended << 31 | frame.remote << 30 | frame.error << 29
-        data = head + pack(id_order + "IBBH", word, len(frame.data), 0, 0) + frame.data
-        text += pack(order + "IIII", *divmod(frame.at_ns or 0, 10**9), len(data), len(data)) + data
-    return text
-
-
 def test_captures_of_an_interface_are_read_as_tshark_reads_them(log: Path, tmp_path: Path) -> None:
     frames, infos = list(BusLog(log)), [row.fields["_ws.col.Info"] for row in dissected(log)]
     expected = [(frame.at_ns, frame.can_id, frame.data, frame.remote, frame.error) for frame in frames]
@@ -250,11 +239,11 @@ def test_captures_of_an_interface_are_read_as_tshark_reads_them(log: Path, tmp_p
         ("cooked", 113, SLL_HEAD, "<", "<"),
         ("cooked 2", 276, SLL2_HEAD, ">", ">"),
     ):
-        capture = tmp_path / f"{name}.pcap"
-        capture.write_bytes(capture_of(frames, kind, head, order, id_order))
-        again = list(BusLog(capture))
+        path = tmp_path / f"{name}.pcap"
+        capture(kind, head, order, id_order)(path, frames)
+        again = list(BusLog(path))
         assert [(f.at_ns, f.can_id, f.data, f.remote, f.error) for f in again] == expected, name
-        assert [row.fields["_ws.col.Info"] for row in dissected(capture)] == infos, name
+        assert [row.fields["_ws.col.Info"] for row in dissected(path)] == infos, name
         assert {frame.sent for frame in again} == {"T" if head else ""}
     converted = tmp_path / "again.pcapng"
     tshark("-r", str(tmp_path / "socketcan.pcap"), "-w", str(converted))

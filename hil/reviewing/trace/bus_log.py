@@ -34,9 +34,10 @@ from servobench.hil.reviewing.trace.log_lines import (
     other_frames,
 )
 from servobench.hil.reviewing.trace.log_window import lines_of_window
+from servobench.hil.reviewing.trace.savvycan import HEAD_MAX, LineReader, reader_of
 
 STDIN: Final = Path("-")
-KINDS: Final = f"a log of candump, a pcap or pcapng, or one of {', '.join(SUFFIXES)}"
+KINDS: Final = f"a log of candump or SavvyCAN, a pcap or pcapng, or one of {', '.join(SUFFIXES)}"
 """Readable formats, for an error."""
 _GZIP_MAGIC: Final = b"\x1f\x8b"
 _LINE_MAX: Final = 1024
@@ -116,12 +117,14 @@ class BusLog:
             if start in PCAP_MAGICS or start == PCAPNG_MAGIC:
                 yield from self._captured(file)
                 return
-            if kind_of(self._path):
+            reader = reader_of(file.peek(HEAD_MAX)[:HEAD_MAX])
+            if reader is not None:
+                file.readline()
+                yield from self._listed(reader, _lines(file, 1))
+            elif kind_of(self._path):
                 yield from other_frames(self._path)
-                return
-            for number, line in self._lines(file):
-                if (frame := self._listed(number, line)) is not None:
-                    yield frame
+            else:
+                yield from self._listed(frame_of_line, self._lines(file))
         except (BrokenCapture, BrokenLog) as error:
             self.damage = str(error)
         except (EOFError, OSError, zlib.error) as error:
@@ -139,11 +142,13 @@ class BusLog:
             else:
                 yield packet
 
-    def _listed(self, number: int, line: bytes) -> LogFrame | None:
-        frame = frame_of_line(line, number) if len(line) < _LINE_MAX or line.endswith(b"\n") else None
-        if frame is None and not is_remark(line):
-            self._count(f"line {number}", line)
-        return frame
+    def _listed(self, reader: LineReader, lines: Iterator[tuple[int, bytes]]) -> Iterator[LogFrame]:
+        for number, line in lines:
+            frame = reader(line, number) if len(line) < _LINE_MAX or line.endswith(b"\n") else None
+            if frame is not None:
+                yield frame
+            elif not is_remark(line):
+                self._count(f"line {number}", line)
 
     def _count(self, place: str, line: bytes) -> None:
         self.malformed += 1
@@ -152,9 +157,8 @@ class BusLog:
             self.first_malformed = f"{place}: {text!r}" if text else place
 
 
-def _lines(file: io.BufferedReader) -> Iterator[tuple[int, bytes]]:
-    """Each with its number; of a longer one than any of candump its beginning."""
-    number = 0
+def _lines(file: io.BufferedReader, number: int = 0) -> Iterator[tuple[int, bytes]]:
+    """Each with its number, which follows ``number``; of a longer one than any of candump its beginning."""
     while line := file.readline(_LINE_MAX):
         number += 1
         yield number, line

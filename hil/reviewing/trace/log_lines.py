@@ -18,8 +18,9 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
+from servobench.drivers.lean_can import mf4_reader
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US
 from servobench.drivers.wire.identifiers import ERROR_FLAG, EXTENDED_ID_MAX, STANDARD_ID_MAX
 from servobench.hil.reviewing.trace.log_frame import CLASSICAL_BYTES_MAX, FD_BYTES_MAX, LogFrame
@@ -111,6 +112,10 @@ _UNDIRECTED: Final = (".csv", ".db")
 _PACKED: Final = ".gz"
 
 
+_ASC_RELATIVE: Final = re.compile(r"\s*base\s+\w+\s+timestamps\s+relative", re.IGNORECASE)
+_ASC_TIME: Final = re.compile(r"\s*(\d+\.\d+)(?=\s)")
+
+
 class BrokenLog(Exception):
     """The file cannot be read from here on."""
 
@@ -129,6 +134,8 @@ def other_frames(path: Path) -> Iterator[LogFrame]:
             for message in messages:
                 number += 1
                 yield _frame(number, message, directed)
+    except ModuleNotFoundError:
+        raise
     except Exception as error:  # noqa: BLE001 - whatever another library raises on a file of whatever content
         raise BrokenLog(f"frame {number + 1}: {error or type(error).__name__}") from None
 
@@ -139,7 +146,8 @@ def _opened(path: Path) -> Iterator[Iterable["Message"]]:
     from can.io.generic import BinaryIOMessageReader, TextIOMessageReader
     from can.io.player import MESSAGE_READERS
 
-    reader: Any = MESSAGE_READERS[kind_of(path)]
+    kind = kind_of(path)
+    reader: Any = mf4_reader() if kind == ".mf4" else MESSAGE_READERS[kind]
     packed = path.suffix.lower() == _PACKED
     if not issubclass(reader, BinaryIOMessageReader | TextIOMessageReader):
         with reader(path) as messages:
@@ -147,7 +155,34 @@ def _opened(path: Path) -> Iterator[Iterable["Message"]]:
         return
     mode = "rt" if issubclass(reader, TextIOMessageReader) else "rb"
     with (gzip.open if packed else open)(path, mode) as file:
-        yield reader(file)
+        yield reader(_AscLines(cast(Iterable[str], file)) if kind == ".asc" else file)
+
+
+class _AscLines:
+    """Lines of an asc whose times count from its beginning, as python-can takes them all.
+
+    Under ``timestamps relative`` each line, whether or not it holds a frame, counts from the one before.
+    """
+
+    def __init__(self, file: Iterable[str]) -> None:
+        self._lines = self._absolute(file)
+
+    def __iter__(self) -> Iterator[str]:
+        """Go on where the iterator before was left, as a file does."""
+        return self._lines
+
+    def _absolute(self, file: Iterable[str]) -> Iterator[str]:
+        relative, at_us = False, 0
+        for line in file:
+            relative |= _ASC_RELATIVE.match(line) is not None
+            if relative and (match := _ASC_TIME.match(line)):
+                at_us += round(float(match[1]) * 1e6)
+                yield f"{at_us / 1e6:.6f}{line[match.end() :]}"
+            else:
+                yield line
+
+    def close(self) -> None:
+        """Leave it to who opened the file."""
 
 
 def _frame(number: int, message: "Message", directed: bool) -> LogFrame:

@@ -105,9 +105,33 @@ def test_a_file_without_a_frame_is_refused(tmp_path: Path, kind: str, data: byte
     done = hil_trace(str(path))
     assert done.exit_code == 2
     assert done.stderr.startswith(f"hil: error: {path}: found ")
+    endings = ".asc, .blf, .csv, .db, .mf4, .trc"
     assert done.stderr.endswith(
-        "expected a log of candump, a pcap or pcapng, or one of .asc, .blf, .csv, .db, .mf4, .trc\n"
+        f"expected a log of candump or SavvyCAN, a pcap or pcapng, or one of {endings}\n"
     )
+
+
+SAVVY = "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n"
+
+
+def test_rows_of_savvycan_that_hold_no_frame_are_counted(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    short, wrong = "6000,181,false,Tx,1,9,0A,", "7000,zz,false,Rx,0,0,"
+    rows = ("5000,181,false,Tx,1,2,0A,0B,00,", short, wrong, "8000,181")
+    path.write_text(SAVVY + "".join(f"{row}\n" for row in rows) + "9000,00000801,false,Rx,0,1,7F,\n")
+    log = BusLog(path)
+    first, last = log
+    assert (first.number, first.at_ns, first.channel, first.sent) == (2, 5_000_000, "1", "T")
+    assert content(first) == (0x181, False, b"\x0a\x0b")
+    assert content(last) == (0x801, True, b"\x7f"), "SavvyCAN takes it for an extended one, too"
+    assert log.notes() == [f"3 lines or packets are no CAN frame, the first line 3: '{short}'"]
+
+
+def test_a_savvycan_file_with_no_row_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(SAVVY)
+    done = hil_trace(str(path))
+    assert (done.exit_code, "found 'no frame'" in done.stderr) == (2, True)
 
 
 @pytest.mark.parametrize(("kind", "told"), [("csv", True), ("blf", False)])
