@@ -33,6 +33,9 @@ RARE: Final = 8
 """One suspect in so many may lie off its SYNC by more than any stamp did though the clock was not set,"""
 OUTLYING: Final = 4.0
 """and weighs no more than one so many deviations off: each is rare by itself."""
+UNHEARD_PARTS: Final = 4
+"""One suspect in so many may answer a SYNC of another node that was not heard: or else lines would be lost
+for the lack of one, and one that needs none of them taken though it is the worse."""
 STAMPS_MAX: Final = 512
 """Stamps kept before those of forgotten SYNCs are dropped."""
 DRIFT_WITHIN: Final = 2e-3
@@ -59,12 +62,20 @@ class Line(NamedTuple):
     cost: int
     delay_change: int
     """By how much the smallest delay would have changed, ns; it decides between equals, but not at once."""
-    marks: tuple[SyncMark, ...]
-    """The SYNC of each."""
+    marks: tuple[SyncMark | None, ...]
+    """The SYNC of each; None where it was not heard, which the first one's was."""
     steps: bool
     """Whether the clock was set."""
     misfit: float
     """Of how far they lie off it, the logarithm of how much likelier none would be."""
+
+    @property
+    def first_at(self) -> Instant:
+        """The end of the SYNC of the first one."""
+        first = self.marks[0]
+        assert first is not None
+        assert first.on_bus_at is not None
+        return first.on_bus_at
 
     @property
     def unlikely(self) -> bool:
@@ -210,12 +221,17 @@ class ClockQuestion:
         scatters = match_ns > self._stamps.unmapped_ns
         middle = median_low(self._miss(at) for at in placed) if scatters else 0
         steps = abs(unmoved_at - origin_at - middle) > match_ns + clock.error_ns
-        marks: list[SyncMark] = []
+        marks: list[SyncMark | None] = []
         misses: list[int] = []
         used: set[int] = set()
         for suspect, at in zip(last, placed, strict=True):
             mark = self._syncs.nearest(Instant(at + middle))
-            if mark is None or mark.on_bus_at is None or mark.number in used or mark.sequence == SURPLUS:
+            if mark is None or mark.on_bus_at is None:
+                return None
+            if self._syncs.may_lack(mark, Instant(at + middle)):
+                marks.append(None)
+                continue
+            if mark.number in used or mark.sequence == SURPLUS:
                 return None
             miss = mark.on_bus_at - at
             delay = suspect.received_at - mark.on_bus_at
@@ -228,10 +244,13 @@ class ClockQuestion:
             misses.append(miss)
             used.add(mark.number)
             marks.append(mark)
+        if UNHEARD_PARTS * marks.count(None) > len(marks):
+            return None
         smallest = min(suspect.received_at - at for suspect, at in zip(last, placed, strict=True))
         smallest -= middle if self._echoes_late else max(misses)
         mean = sum(misses) / len(misses)
-        misfit = sum((miss - mean) ** 2 for miss in misses) / (2.0 * self._stamps.variance_ns2)
+        squares = sum((miss - mean) ** 2 for miss in misses) * len(last) / len(misses)
+        misfit = squares / (2.0 * self._stamps.variance_ns2)
         if steps and self.revoked:
             unmoved = self._syncs.nearest(unmoved_at)
             if unmoved is not None and not self._agrees(used, first.number - unmoved.number):
@@ -246,7 +265,7 @@ class ClockQuestion:
     def _unmoved(self, last: list[Suspect], match_ns: int) -> list[Line]:
         """The clock and the delays as they were, and one SYNC in :data:`RARE` that was late by more than any
         before; none if the suspects cannot be placed so."""
-        clock, marks, delays = self._stamps.clock, list[SyncMark](), list[int]()
+        clock, marks, delays = self._stamps.clock, list[SyncMark | None](), list[int]()
         near_ns, variance = match_ns + clock.error_ns, self._stamps.variance_ns2
         misfit, outlying = 0.0, 0
         for suspect in last:
@@ -268,9 +287,9 @@ class ClockQuestion:
         line = self._costed(marks, min(delays), False, misfit)
         return [] if line.unlikely else [line]
 
-    def _costed(self, marks: list[SyncMark], smallest: int, steps: bool, misfit: float) -> Line:
+    def _costed(self, marks: list[SyncMark | None], smallest: int, steps: bool, misfit: float) -> Line:
         """The way that places suspects on ``marks`` with this smallest delay, and what it costs."""
-        lost = self._lost_before(min(mark.number for mark in marks))
+        lost = self._lost_before(min(mark.number for mark in marks if mark is not None))
         if steps:
             cost = STEP_COST + min(max(0, lost - self.twice), LOSS_COST_MAX)
         else:

@@ -325,30 +325,28 @@ class StampAttribution:
         """Place the last suspects by the first of ``lines``. If that says that something has happened, the
         others may be right as well: none of them has both the clock set and the delay changed."""
         line = lines[0]
+        placed = [(suspect, mark) for suspect, mark in zip(last, line.marks, strict=True) if mark is not None]
         pairs: list[tuple[int, Instant]] = []
-        for suspect, mark in zip(last, line.marks, strict=True):
+        for suspect, mark in placed:
             assert mark.on_bus_at is not None
             pairs.append((suspect.device_ns, mark.on_bus_at))
-        first_at = pairs[0][1]
         steps = line.steps or self.stamps.lie_early(pairs)
         if steps:
             self._tell_step(self.clock.place(pairs[0][0]) - pairs[0][1], len(self._suspects))
             self.stamps.move_to(pairs)
             self.doubt.moved()
-        firsts = [(other.marks[0].on_bus_at, other.steps) for other in lines[1:]]
-        others = [(at - first_at, steps) for at, steps in firsts if at is not None]
+        others = [(other.first_at - line.first_at, other.steps) for other in lines[1:]]
         if others and line.unlikely:
             self.doubt.put(steps, others, self._case.delays, self._case.since)
         if not steps:
             self._case.note_residuals(self._suspects)
             self._case.delays = DelayExtremes()
-        placed = list(zip(last, line.marks, strict=True))
         all_proved = self._exonerate(self._case.alike(placed) if steps else placed)
         self._clear(all_proved and not (steps and self._case.revoked))
         end = self._close if steps else self._acquit
         end()
         self._case.twice = 0
-        for suspect, mark in zip(last, line.marks, strict=True):
+        for suspect, mark in placed:
             self._case.answer(mark, suspect.device_ns)
             assert mark.on_bus_at is not None
             residual = self.clock.place(suspect.device_ns) - mark.on_bus_at

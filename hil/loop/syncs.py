@@ -308,6 +308,15 @@ class SyncLog:
         """How many SYNCs of another node are missing behind ``mark``."""
         return self.missing - (mark.place - mark.number)
 
+    def may_lack(self, mark: SyncMark, at: Instant) -> bool:
+        """Whether another node's SYNC that was not heard lay nearer to ``at`` than ``mark``, the nearest."""
+        assert mark.on_bus_at is not None
+        if not self.of_another or 2 * abs(at - mark.on_bus_at) <= self._period:
+            return False
+        beside = mark.number + (1 if at > mark.on_bus_at else -1)
+        place = beside - self.marks[0].number
+        return 0 <= place < len(self.marks) and abs(self.marks[place].place - mark.place) > 1
+
     def nearest(self, at: Instant) -> SyncMark | None:
         """The SYNC whose end on the bus is nearest to ``at``."""
         best: SyncMark | None = None
