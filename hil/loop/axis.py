@@ -96,8 +96,7 @@ class Axis:
         self._way_back = WayBack(parts.reference, period, *parts.guard.path_limits)
         self._host = MonotonicClock()
         """For what compensator and controller take, also where time is simulated."""
-        self.uncertain = 0
-        """Rows marked uncertain."""
+        self.uncertain = 0  # rows marked so
         self.lessons = Lessons(syncs)
         self._decisions: list[Decision] = []
         """Of the cycles whose readings' fates are open, the oldest first."""
@@ -110,10 +109,11 @@ class Axis:
 
     def _attribute(self) -> None:
         """Nothing is known yet of the drive's clock and delays."""
-        parts, period, tell = self.parts, self._period, self.parts.tell
-        stamps = parts.stamp_resolution, parts.stamped_at_arrival
-        self.by_stamp = StampAttribution(parts.syncs, period, parts.transit, tell, *stamps)
-        self.by_order = OrderAttribution(parts.syncs, period, parts.transit, tell)
+        parts = self.parts
+        seen = parts.syncs, self._period, parts.transit, parts.tell
+        self.by_stamp = StampAttribution(*seen, parts.stamp_resolution, parts.stamped_at_arrival)
+        self.by_order = OrderAttribution(*seen)
+        self.by_order.copies.stamps = self.by_stamp.stamps
 
     @property
     def wants_probe(self) -> bool:
@@ -312,9 +312,9 @@ class Axis:
     def _take(self, reading: Reading) -> None:
         by_stamp = self._by_stamps and reading.device_time_ns is not None
         question = self.by_stamp.question if by_stamp else self.by_order.question
-        was_open, duplicates = question.open, self.by_stamp.health.duplicates
+        was_open, twice = question.open, self.by_stamp.health.duplicates + self.by_order.health.duplicates
         sample = self.by_stamp.place(reading) if by_stamp else self.by_order.place(reading)
-        again = self.by_stamp.health.duplicates > duplicates
+        again = self.by_stamp.health.duplicates + self.by_order.health.duplicates > twice
         if by_stamp and (sample is not None or question.open) and not again:
             self._changes.reading(reading, certain=sample is not None and sample.certain)
         self.readbacks.reading(sample, reading.received_at, again or self.by_stamp.may_overtake)

@@ -31,10 +31,6 @@ class OrderAttribution:
     they answer is then a *question*, and readings are uncertain. What is uneven in the SYNCs answers it
     (:mod:`servobench.hil.loop.order_evidence`), and where that does not suffice a *probe*, a SYNC that goes
     out a quarter of a period late. Where none can, the delay is taken for what it was if it looks so.
-
-    What the SYNC took behind its echo, and what the echo was stamped late, is part of the delay. So a sample
-    lies no further behind its SYNC than its delay exceeds the smallest of the last ones, and where echoes are
-    stamped late no further before it than delays spread.
     """
 
     def __init__(self, syncs: SyncLog, period: Duration, transit: Duration, tell: Tell) -> None:
@@ -48,14 +44,12 @@ class OrderAttribution:
         self._in_question = OrderQuestion(syncs, period, transit, self._usual)
         self._answered = 0  # number of the last SYNC that has its reading
         self._known = 0  # the same of readings whose place was certain
-        self._open, self._copies = Unanswered(syncs), Copies()
-        self._sure = True
-        self._beyond = False  # whether the question has had no answer so far
+        self._open, self.copies = Unanswered(syncs), Copies(period)
+        self._sure, self._beyond = True, False  # beyond: the question has had no answer so far
         self._unsure = Unconfirmed(self.question, self._usual)
         self._strays: list[int] = []  # of those in a row, how long they came after the SYNC before them
         self._strays_known = 0  # so many of them have their certain place
-        self._held: tuple[int, Instant, int] | None = None
-        """Cycle, instant and bound of the last reading, if the next one is to show that it was held up."""
+        self._held: tuple[int, Instant, int] | None = None  # a row, if the next reading is to show it
         self._untidy = 0  # readings for which frames are still expected to come twice or be held up
 
     @property
@@ -87,11 +81,17 @@ class OrderAttribution:
         self._in_question.probed(mark.number, ASK_AGAIN_AFTER if self._beyond else self._lags() + 1)
 
     def place(self, reading: Reading) -> Sample | None:
+        copy = self.copies.holds(reading)
+        self._untidy -= self._untidy > 0
+        if copy and self.copies.told_by_stamps:
+            self.health.duplicates += 1
+            return None
+        return self._place(reading, copy)
+
+    def _place(self, reading: Reading, copy: bool) -> Sample | None:
         received_at, usual = reading.received_at, self._usual
         mark = self._syncs.newest_before(Instant(received_at - usual.least))
         delay = 0 if mark is None or mark.on_bus_at is None else received_at - mark.on_bus_at
-        copy = self._copies.holds(reading.velocity_rad_s)
-        self._untidy -= self._untidy > 0
         usually = self._sure and usual.apart
         if usually and mark is not None and usual.holds(delay) and self._is_plain(mark):
             self._answered = self._known = mark.number
@@ -170,17 +170,17 @@ class OrderAttribution:
         if not (self._open.pass_over(self._answered, mark) and self._in_question.phase_known):
             return
         if self._beyond:
-            self._in_question.miss(self._answered)
+            self._in_question.miss(self._answered, mark.number)
         else:
-            self._ask(self._usual.middle)
+            self._ask(self._usual.middle, mark.number)
             self._in_question.weigh(received_at)
 
-    def _ask(self, age: int) -> None:
-        """Put the question which SYNCs readings answer that come ``age`` after one."""
+    def _ask(self, age: int, number: int = 0) -> None:
+        """Put the question which SYNCs readings answer that come ``age`` after one, from ``number`` on."""
         if self._sure:
             self._sure = False
             self._in_question.put()
-        self._in_question.follow(age, self._answered)
+        self._in_question.follow(age, self._answered, number)
 
     def _lags(self) -> int:
         """How many SYNCs a reading may answer: the one before, and others since the last certain one."""
@@ -327,7 +327,7 @@ class OrderAttribution:
 
     def _is_only_one(self, mark: SyncMark, copy: bool) -> bool:
         """Whether all other SYNCs have their readings for certain, and this is none of those again."""
-        copied = self._untidy and (copy or self._copies.before)
+        copied = self._untidy and (copy or self.copies.before)
         if not self._sure or copied or mark.sequence == SURPLUS or not self._usual.apart:
             return False
         known = mark.number == self._answered + 1 == self._known + 1
@@ -335,7 +335,7 @@ class OrderAttribution:
 
     def _comes_sooner(self, usual: SyncMark, received_at: Instant, copy: bool) -> bool:
         """Whether a reading is that of a SYNC after the ``usual`` one, as this and all before have theirs."""
-        if usual.number > self._answered or copy or self._copies.before:
+        if usual.number > self._answered or copy or self.copies.before:
             return False
         later = self._syncs.newest_before(Instant(received_at - self._transit))
         return later is not None and self._is_only_one(later, copy)

@@ -3,8 +3,10 @@
 import math
 from typing import Final
 
+from servobench.drivers.exchange import Reading
 from servobench.drivers.timebase import Duration, Instant
 from servobench.hil.loop.attribution import Question
+from servobench.hil.loop.drive_stamps import DriveStamps
 from servobench.hil.loop.residuals import DelayExtremes
 from servobench.hil.loop.syncs import REMEMBERED, STAMPED_LATE, SyncLog, SyncMark
 from servobench.hil.loop.usual_delays import UsualDelays
@@ -71,7 +73,12 @@ class Unanswered:
 
 
 class SampleDelays(DelayExtremes):
-    """Delays of readings whose place is certain, outliers too: bounds are made from them."""
+    """Delays of readings whose place is certain, outliers too: bounds are made from them.
+
+    What the SYNC took behind its echo, and what the echo was stamped late, is part of the delay. So a sample
+    lies no further behind its SYNC than its delay exceeds the smallest of the last ones, and where echoes are
+    stamped late no further before it than delays spread.
+    """
 
     def __init__(self, syncs: SyncLog, period: Duration, transit: Duration) -> None:
         super().__init__()
@@ -89,19 +96,32 @@ class SampleDelays(DelayExtremes):
 
 
 class Copies:
-    """Speeds of the last readings: a frame that comes twice tells one of them again."""
+    """Speeds and stamps of the last readings: a frame that comes twice tells one of them again."""
 
-    def __init__(self) -> None:
-        self._speeds = [math.nan] * COPIES
+    def __init__(self, period: Duration) -> None:
+        self.stamps: DriveStamps | None = None
+        """What is known of those of the drive."""
+        self._period = period
+        self._told: list[tuple[float, int | None]] = [(math.nan, None)] * COPIES
         self._place = 0
         self.before = self._held = False
         """Whether the reading before the last one may have been a copy."""
 
-    def holds(self, speed_rad_s: float) -> bool:
-        """Whether one of the last readings told this speed; it is remembered."""
+    @property
+    def told_by_stamps(self) -> bool:
+        """Whether what is held is a copy: two SYNCs have two stamps, unless these advance by more than half a
+        period or stand still. Speeds alone are alike while a shaft is at rest."""
+        stamps = self.stamps
+        if stamps is None or 2 * stamps.resolution > self._period:
+            return False
+        return len({stamp for _, stamp in self._told}) > COPIES // 2
+
+    def holds(self, reading: Reading) -> bool:
+        """Whether one of the last readings told the same; it is remembered."""
+        told = reading.velocity_rad_s, reading.device_time_ns
         self.before = self._held
-        held = self._held = speed_rad_s in self._speeds
-        self._speeds[self._place] = speed_rad_s
+        held = self._held = told in self._told
+        self._told[self._place] = told
         self._place = (self._place + 1) % COPIES
         return held
 

@@ -56,14 +56,23 @@ class LossShare:
     def __init__(self, since: int = 0) -> None:
         """``since``: number of a SYNC."""
         self.lost = 0
+        """Times that some were."""
         self._since = since
+        self._runs: list[int] = []
+        """How many at a time."""
 
-    def readings_to_show(self, spread: int, period: Duration, number: int) -> int:
+    def add(self, run: int) -> None:
+        """So many in a row were lost."""
+        self.lost += 1
+        self._runs.append(run)
+
+    def readings_to_show(self, spread: int, period: Duration, number: int, run: int) -> int:
         """After so many that look as before, delays that spread over ``spread`` have not grown at SYNC
-        ``number``."""
-        if self.lost < LOSSES_MIN:
+        ``number`` by ``run`` periods: what as many losses in a row, or more, are likelier than."""
+        alike = sum(lost >= run for lost in self._runs)
+        if alike < LOSSES_MIN:
             return HELD_MAX
-        return max(LOOKS_MIN, LOOKS * spread * (number - self._since) // (self.lost * period))
+        return max(LOOKS_MIN, LOOKS * spread * (number - self._since) // (alike * period))
 
 
 class OrderQuestion:
@@ -105,9 +114,9 @@ class OrderQuestion:
         self._probes.clear()
         self._misses.clear()
 
-    def follow(self, age: int, answered: int) -> None:
-        """Weigh readings that come ``age`` after a SYNC, from here on; ``answered``: see :meth:`miss`."""
-        self.miss(answered)
+    def follow(self, age: int, answered: int, number: int) -> None:
+        """Weigh readings that come ``age`` after a SYNC, from here on; see :meth:`miss`."""
+        self.miss(answered, number)
         self.evidence.begin(age)
 
     def weigh(self, received_at: Instant) -> int:
@@ -118,18 +127,25 @@ class OrderQuestion:
         self._missing = self._syncs.missing
         return self.evidence.add(received_at)
 
-    def miss(self, answered: int) -> None:
-        """A reading is missing after that of SYNC ``answered``."""
+    def miss(self, answered: int, number: int) -> None:
+        """Readings are missing after that of SYNC ``answered``, before that of ``number``; 0: one may be."""
+        run = max(1, number - answered - 1)
         if len(self._misses) == MISSES_MAX:
-            answered, _ = self._misses.pop()
-        self._misses.append((answered, Resemblance()))
+            answered, since = self._misses.pop()
+            run = max(run, since.run)
+        self._misses.append((answered, Resemblance(run)))
+
+    def _comes_too_soon(self, delay: int) -> bool:
+        """Whether a reading of the SYNC before would have come sooner than its frame can."""
+        return delay < self._soonest and self._syncs.basis not in STAMPED_LATE
 
     def settled(self, number: int, lag: int) -> bool:
         """The answer is ``lag``, up to SYNC ``number``; whether delays have changed, and nothing was lost."""
         if lag or not self.phase_known:
             self._shares = LossShare(number)
             return True
-        self._shares.lost += len(self._misses)
+        for _, since in self._misses:
+            self._shares.add(since.run)
         return False
 
     def stray(self) -> None:
@@ -143,10 +159,9 @@ class OrderQuestion:
         shorter = self.odd > 0 and self.sooner() > 0
         if len(self._misses) < 2 or shorter or not self.phase_known:
             return 0
-        if not self._looks_as_before(self._misses[0]):
+        if not self._looks_as_before(self._misses[0], self._misses[0][1].run):
             return 0
-        del self._misses[0]
-        self._shares.lost += 1
+        self._shares.add(self._misses.pop(0)[1].run)
         answered, since = self._misses[0]
         self.asked = since.seen
         self._probes = [number for number in self._probes if number > answered]
@@ -155,6 +170,9 @@ class OrderQuestion:
     def take(self, number: int, delay: int) -> None:
         """A reading came that is weighed, so long after SYNC ``number``."""
         self.asked += 1
+        if self._comes_too_soon(delay):
+            for _, since in self._misses:
+                since.too_soon += 1
         if self._usual.holds(delay):
             for _, since in self._misses:
                 since.add(delay)
@@ -259,10 +277,11 @@ class OrderQuestion:
             spread *= self._usual.parts
         return spread <= self._period // (8 if few else 2)
 
-    def _looks_as_before(self, miss: tuple[int, Resemblance]) -> bool:
-        """Whether delays look as before since one of the readings that are missing."""
+    def _looks_as_before(self, miss: tuple[int, Resemblance], run: int) -> bool:
+        """Whether delays look as before since one of the readings that are missing, ``run`` in a row."""
         count = readings_to_resemble(self._usual.spread, self._period, self._alike_least)
-        count = min(count, self._shares.readings_to_show(self._usual.spread, self._period, miss[0]))
+        known = self._shares.readings_to_show(self._usual.spread, self._period, miss[0], run)
+        count = min(count, known)
         return not self._speaks_against(miss) and miss[1].is_shown(
             self._usual, count, frames=self._shares.lost >= LOSSES_MIN
         )
@@ -284,7 +303,8 @@ class OrderQuestion:
         miss = self._misses[-1]
         if self.phase_known:
             shorter = self.odd > 0 and self.sooner() > 0
-            return 0 if not shorter and self._looks_as_before(miss) else None
+            longest = max(since.run for _, since in self._misses)
+            return 0 if not shorter and self._looks_as_before(miss, longest) else None
         if self._speaks_against(miss) or RARE * self.odd > self.asked:
             return None
         lag = lag_to_resemble(self.evidence.delays(0), self._usual, self._period, self._alike_least)

@@ -39,6 +39,9 @@ ALIKE_MIN: Final = 12
 ALIKE_PER_PERIOD: Final = 256
 """The same of delays that spread over a period, as far as rows wait: so many show their least one to a 64th
 of a period, and one in 32 of the delays to which a network may change looks like the old one."""
+TOO_SOON: Final = 2
+"""Readings that would have come too soon for the SYNC before: a frame that is held up into just that gap is
+rare, and all are that are shorter than the least delay where they have grown by less than whole periods."""
 SLIGHT_PARTS: Final = 8
 """By less than such a part of a period a reading is off that came behind other nodes' frames, or before."""
 ALIKE_PARTS: Final = 16
@@ -220,10 +223,14 @@ class Resemblance:
     decides only where SYNCs tell nothing.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, run: int) -> None:
+        self.run = run
+        """So many are missing in a row."""
         self._low = self._high = self._count = self._others = 0
         self.followed = 0
         """Probes that readings of a usual delay have followed."""
+        self.too_soon = 0
+        """Readings that would have come sooner than their frame can."""
 
     @property
     def seen(self) -> int:
@@ -234,7 +241,7 @@ class Resemblance:
         """A delay is not usual. Too many of them, and it begins again: later ones may be."""
         self._others += 1
         if RARE * self._others > self._count and self.seen >= KEPT:
-            self._count = self._others = 0
+            self._begin_again()
 
     def add(self, delay: int) -> None:
         """A delay is usual."""
@@ -251,11 +258,15 @@ class Resemblance:
         """By ``least`` readings or more; see :meth:`UsualDelays.begins_at`."""
         if self._count < least or RARE * self._others > self._count:
             return False
-        if usual.begins_at(self._low, self._count, frames=frames):
+        if self.too_soon < TOO_SOON and usual.begins_at(self._low, self._count, frames=frames):
             return True
-        if self.seen >= KEPT:  # the next ones may show it
-            self._count = self._others = 0
+        if self.seen >= KEPT:
+            self._begin_again()
         return False
+
+    def _begin_again(self) -> None:
+        """The next ones may show it."""
+        self._count = self._others = self.too_soon = 0
 
 
 def readings_to_resemble(spread: int, period: Duration, least: int) -> int:

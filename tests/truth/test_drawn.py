@@ -172,6 +172,31 @@ def test_readings_of_a_phase_that_is_not_known_may_be_those_of_later_syncs(
     assert verdict.readings.uncertain < unsure
 
 
+def test_a_line_through_readings_of_syncs_that_were_not_heard_is_one() -> None:
+    """A clock set back by 5816 us: the right line met a SYNC of another that was lost on the way here, and
+    six periods of delay were believed, at which each reading lay a fifth of a period off: 709 rows were late
+    by then, for certain."""
+    verdict = judged(drawn_plan(440125), 700)
+    assert verdict.wrong == {}, verdict.examples
+    assert verdict.readings.uncertain < 20
+
+
+def test_a_longer_loss_is_not_as_likely_as_the_single_ones_before_it() -> None:
+    """A gateway's 3953 us at SYNCs of 2000 us, where readings are lost by ones: two were missing, delays
+    looked as before but for such as came sooner than frames can, and 419 rows were two SYNCs off."""
+    verdict = judged(drawn_plan(28), 600)
+    assert verdict.readings.wrong == 0, verdict.examples
+
+
+@pytest.mark.parametrize(("seed", "cycles", "unsure"), [(402107, 150, 100), (440053, 1500, 400)])
+def test_a_frame_that_comes_twice_is_known_by_its_stamp(seed: int, cycles: int, unsure: int) -> None:
+    """However coarse it is: a copy in the place of a lost reading was taken for that, and 1464 of 1500 rows
+    were in doubt as frames seemed to be held up."""
+    verdict = judged(drawn_plan(seed), cycles)
+    assert verdict.wrong == {}, verdict.examples
+    assert verdict.readings.uncertain < unsure
+
+
 def test_order_alone_decides_nothing_where_delays_spread_over_two_periods() -> None:
     """Delays of up to 4.25 periods, and 0.6 of one more from 0.6 s on: 69 certain rows were wrong."""
     assert judged(drawn_plan(410035), 1000).wrong == {}
