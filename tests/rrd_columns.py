@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 from rerun.chunk import RrdReader
 
+from servobench.hil.recording.wide_rows import COMPONENT, cycles_entity, field_of
+
 Column = tuple[np.ndarray, list[list[object]]]
 
 
@@ -26,15 +28,25 @@ def columns(path: Path, entity: str, component: str) -> Column:
 
 
 def numbers(path: Path, entity: str) -> tuple[np.ndarray, np.ndarray]:
-    """Times and scalars; (n,) or (n, series). Points without a value are left out."""
-    times, values = columns(path, entity, "Scalars:scalars")
-    found = (
-        np.squeeze(np.array(values, np.float64), axis=1)
-        if len(values[0]) == 1
-        else np.array(values, np.float64)
-    )
+    """Times and scalars; (n,) or (n, series). Points without a value are left out.
+
+    ``entity``: of the line, or of a line of the cycles as "/axis1/speed/measured".
+    """
+    times, found = line(path, entity)
     kept = ~np.isnan(found) if found.ndim == 1 else np.ones(len(times), bool)
     return times[kept], found[kept]
+
+
+def line(path: Path, entity: str) -> tuple[np.ndarray, np.ndarray]:
+    """The same with the points that have no value."""
+    times, values = columns(path, entity, "Scalars:scalars")
+    if values:
+        found = np.array(values, np.float64)
+        return times, np.squeeze(found, axis=1) if found.shape[1] == 1 else found
+    axis, below = entity.strip("/").split("/", 1)
+    times, values = columns(path, cycles_entity(axis), COMPONENT)
+    field = field_of(below)
+    return times, np.array([row[field] for (row,) in values], np.float64)  # type: ignore[index]
 
 
 def view_ranges(path: Path) -> list[tuple[int, int]]:

@@ -143,8 +143,9 @@ class RunSignals:
                 mine = mine[(due_at >= self._begin) & (due_at <= self._end)]
             self.gaps[name].add(mine["due_at"] - first_cycle, mine["fate"] != FATE_SAMPLE)
             positions = position_lines_of(mine) if name in self.by_position else ()
-            for path, times, values in (*main_lines_of(mine, 1.0), *positions):
-                self.signals.setdefault(f"{name}/{path}", Envelope()).add(times - first_cycle, values)
+            for path, values in (*main_lines_of(mine, 1.0), *positions):
+                signal = self.signals.setdefault(f"{name}/{path}", Envelope())
+                signal.add(mine["due_at"] - first_cycle, values)
 
     def axes_in(self, plot: str) -> list[str]:
         """Return the axes that a plot shows: speeds and positions those that are given them, others all."""

@@ -12,9 +12,19 @@ from typing import Any, Final
 import rerun.blueprint as rrb
 
 from servobench.hil.recording.lanes import STATE_ROOT
-from servobench.hil.recording.page_series import AXIS_COLORS, LIMITS, OVERVIEW, SERIES, torque_scale
+from servobench.hil.recording.page_series import (
+    AXIS_COLORS,
+    LIMITS,
+    OVERVIEW,
+    SERIES,
+    Color,
+    Series,
+    own_series,
+    torque_scale,
+)
 from servobench.hil.recording.plot_scale import COLUMN_PX, Range, lanes_px, plot_heights
 from servobench.hil.recording.rerun_page import event_list, framed, plot
+from servobench.hil.recording.wide_rows import cycles_entity, drawn
 from servobench.hil.rows.recording_plan import RecordingPlan
 
 VERDICT, HISTOGRAM, EVENTS = "/verdict", "/delay_histogram", "/events"
@@ -32,6 +42,11 @@ MARKS_MAX: Final = 30
 """More dropouts would bury the line; their lane shows all of them."""
 GUTTER: Final = 31 / 988
 """Share of a plot's width taken by the labels at its left, which the lanes do not have."""
+
+Styled = tuple[Series, Color | None, str]
+"""A line, and colour and name in place of its own."""
+Overrides = dict[Any, Any]
+"""How lines are drawn, by entity."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,10 +191,13 @@ class Pages:
     def _observed(self, name: str) -> rrb.Vertical:
         return self._own(name, [(each.path, each.title) for each in self._plan.observed[name].signals])
 
-    def _own(self, name: str, series: Sequence[tuple[str, str]]) -> rrb.Vertical:
+    def _own(self, name: str, titles: Sequence[tuple[str, str]]) -> rrb.Vertical:
         """A plot for each series, by path and title."""
-        root = f"{self._root(False)}/{name}"
-        plots = [self._view(f"/{name}", [f"{root}/{path}"], title, False) for path, title in series]
+        known = {each.path: each for each in own_series(self._plan, name)}
+        plots = []
+        for path, title in titles:
+            contents, overrides = self._lines(name, [(known[path], None, "")], False)
+            plots.append(self._view(f"/{name}", contents, title, False, overrides=overrides))
         return rrb.Vertical(*plots, name=name)
 
     def _plot(
@@ -187,24 +205,40 @@ class Pages:
     ) -> rrb.TimeSeriesView:
         """``marks``: which points are shown beside the lines. ``linked``: as high as what is seen of them,
         with the limits of errors alone, as those of the drive are far away."""
-        root = self._root(linked)
-        lines = [f"{root}/{name}/{each.path}" for each in SERIES if each.path.startswith(f"{plot}/")]
+        series = [(each, None, "") for each in SERIES if each.path.startswith(f"{plot}/")]
+        lines, overrides = self._lines(name, series, linked)
         if not linked or "error" in plot:
             lines.append(f"{LIMITS}/{name}/{plot}/**")
         contents = [*lines, *(f"/{name}/{mark}" for mark in marks)]
         remark = "" if self._whole is None else self._whole.remarks.get(f"{name}/{plot}", "")
         low_high = None if linked else self._range(f"{name}/{plot}")
-        return self._view(f"/{name}", contents, title + remark, linked, low_high)
+        return self._view(f"/{name}", contents, title + remark, linked, low_high, overrides)
+
+    def _lines(self, name: str, styled: Sequence[Styled], linked: bool) -> tuple[list[str], Overrides]:
+        """What a view shows of an axis, and how: envelopes, or the cycles themselves."""
+        if root := self._root(linked):
+            restyled = {
+                f"{root}/{name}/{series.path}": series.styled(color, title).visualizer()
+                for series, color, title in styled
+                if color
+            }
+            return [f"{root}/{name}/{series.path}" for series, _, _ in styled], restyled
+        beside = [f"/{name}/{series.path}" for series, _, _ in styled if not series.of_cycles]
+        cycles = [drawn(*each) for each in styled if each[0].of_cycles]
+        if not cycles:
+            return beside, {}
+        return [cycles_entity(name), *beside], {cycles_entity(name): cycles}
 
     def _together(self, path: str, title: str, *beside: str) -> rrb.TimeSeriesView:
         """``path`` of all axes in the colours of the axes; ``beside``: other series, in their own."""
-        root = self._root(False)
-        style = next(each for each in SERIES if each.path == path)
-        overrides = {
-            f"{root}/{name}/{path}": style.styled(AXIS_COLORS[place % len(AXIS_COLORS)], name).visualizer()
-            for place, name in enumerate(self._axes)
-        }
-        contents = [f"{root}/{name}/{each}" for name in self._axes for each in (*beside, path)]
+        by_path = {each.path: each for each in SERIES}
+        contents: list[str] = []
+        overrides: Overrides = {}
+        for place, name in enumerate(self._axes):
+            own = by_path[path], AXIS_COLORS[place % len(AXIS_COLORS)], name
+            lines, styles = self._lines(name, [*((by_path[each], None, "") for each in beside), own], False)
+            contents += lines
+            overrides |= styles
         low_high = self._widest(path.partition("/")[0], self._axes)
         return self._view("/", contents, title, False, low_high, overrides)
 
@@ -215,7 +249,7 @@ class Pages:
         title: str,
         linked: bool,
         low_high: Range | None = None,
-        overrides: dict[Any, Any] | None = None,
+        overrides: Overrides | None = None,
     ) -> rrb.TimeSeriesView:
         paths = [f"+ {path}" for path in contents]
         return plot(origin, paths, title, self._time_axis(linked), low_high, overrides=overrides)

@@ -34,6 +34,8 @@ class Series(NamedTuple):
     width: float = 1.0
     steps: bool = False
     """It holds from one point to the next."""
+    of_cycles: bool = True
+    """Each cycle has a value of it; others have instants and an entity of their own."""
 
     def styled(self, color: Color | None = None, name: str = "") -> "rr.SeriesLines":
         """Return the series in Rerun's form; ``color``, ``name`` replace its own."""
@@ -78,7 +80,7 @@ SERIES: Final = (
     Series("torque/command", "command", GREY),
     Series("torque/load", "load", VIOLET, steps=True),
     Series("torque/measured", "measured", GREEN, 1.4),
-    Series("torque/brake", "load measured", ORANGE, 1.4),
+    Series("torque/brake", "load measured", ORANGE, 1.4, of_cycles=False),
     Series("delay/delay", "delay", YELLOW),
     Series("commands/on_bus", "on the bus", BLUE),
     Series("commands/acting", "acting, at the latest", GREEN),
@@ -108,11 +110,22 @@ LIMIT_SERIES: Final = (
 
 def own_series(plan: RecordingPlan, axis: str) -> tuple[Series, ...]:
     """Return the series of an axis' controller signals and of its drive's observed objects."""
-    names = [(f"controller/{name}", name) for name in plan.channels.get(axis, ())]
     drive = plan.observed.get(axis)
-    names += [(signal.path, signal.name) for signal in (drive.signals if drive else ())]
+    told = [(f"controller/{name}", name, True) for name in plan.channels.get(axis, ())]
+    told += [(signal.path, signal.name, False) for signal in (drive.signals if drive else ())]
     colors = CHANNEL_COLORS
-    return tuple(Series(path, name, colors[place % len(colors)]) for place, (path, name) in enumerate(names))
+    return tuple(
+        Series(path, name, colors[place % len(colors)], of_cycles=of_cycles)
+        for place, (path, name, of_cycles) in enumerate(told)
+    )
+
+
+def style_of(plan: RecordingPlan, path: str) -> "rr.SeriesLines | rr.SeriesPoints":
+    """How the entity of a line or of points is drawn: by the part below the axis, which may be called like
+    OVERVIEW; no name in that part divides it."""
+    _, axis, plot, line = path.rsplit("/", 3)
+    known: tuple[Series | Marks, ...] = (*SERIES, *MARKS, *LIMIT_SERIES, *own_series(plan, axis))
+    return next(each for each in known if each.path == f"{plot}/{line}").styled()
 
 
 def torque_scale(axis: AxisPlan) -> tuple[float, str]:

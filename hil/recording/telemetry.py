@@ -29,22 +29,18 @@ from servobench.hil.recording.lanes import (
 from servobench.hil.recording.observed_frames import ObservedFrames
 from servobench.hil.recording.page_series import (
     CORAL,
-    LIMIT_SERIES,
     LIMITS,
-    MARKS,
     OVERVIEW,
-    SERIES,
     TIMELINE,
     YELLOW,
-    Marks,
-    Series,
-    own_series,
+    style_of,
     torque_scale,
 )
 from servobench.hil.recording.row_series import READ_SERIES, first_offset_ns, lines_of, marks_of
 from servobench.hil.recording.run_metadata import run_metadata
 from servobench.hil.recording.verdict_text import running_markdown, verdict_markdown
 from servobench.hil.recording.whole_figures import WholeFigures, in_view
+from servobench.hil.recording.wide_rows import cycle_columns, cycles_entity
 from servobench.hil.reviewing.envelope import BUCKETS, CodeLane, Envelope
 from servobench.hil.reviewing.gaps import Gaps
 from servobench.hil.reviewing.histogram import TimeHistogram, round_width
@@ -322,23 +318,27 @@ class Telemetry:
         if self._offset_origin_ns[number] is None:
             self._offset_origin_ns[number] = first_offset_ns(rows)
         positions = self._plan.review.axes[number].quantity == "position"
-        lines = lines_of(rows, self._scales[number], self._offset_origin_ns[number], positions)
-        for path, times, values in lines:
-            self._plot(f"/{name}/{path}", times, values)
+        lines = dict(lines_of(rows, self._scales[number], self._offset_origin_ns[number], positions))
+        for place, channel in enumerate(self._plan.channels.get(name, ())):
+            lines[f"controller/{channel}"] = rows[f"channel_{place}"]
+        self._stream.send_columns(cycles_entity(name), self._times(due_at), cycle_columns(lines))
+        for path, values in lines.items():
+            self._envelop(f"/{name}/{path}", due_at, values)
         for path, times, values in marks_of(rows):
             self._send(f"/{name}/{path}", times, values)
         self._marks[name] += int((rows["fate"] != FATE_SAMPLE).sum())
         if self._live:
             ends = due_at[[0, -1]]
             self._send(f"{LIMITS}/{name}/delay/deadline", ends, np.full(2, self._plan.deadline / NS_PER_US))
-        for place, channel in enumerate(self._plan.channels.get(name, ())):
-            self._plot(f"/{name}/controller/{channel}", due_at, rows[f"channel_{place}"])
         if number == 0:
             self._rows += rows.size
 
     def _plot(self, path: str, due_at: NDArray[np.int64], values: NDArray[np.float64]) -> None:
-        """Rows of a line: one wide column, and its envelope; values: (n,)."""
+        """Points of a line that has other instants than the cycles, and its envelope; values: (n,)."""
         self._send(path, due_at, values)
+        self._envelop(path, due_at, values)
+
+    def _envelop(self, path: str, due_at: NDArray[np.int64], values: NDArray[np.float64]) -> None:
         if due_at.size and not self._live:
             self._envelopes.setdefault(path, Envelope()).add(due_at, values)
 
@@ -347,16 +347,8 @@ class Telemetry:
             return
         if path not in self._styled:
             self._styled.add(path)
-            self._stream.log(path, self._style(path), static=True)
+            self._stream.log(path, style_of(self._plan, path), static=True)
         self._stream.send_columns(path, self._times(due_at), rr.Scalars.columns(scalars=values))
-
-    def _style(self, path: str) -> rr.SeriesLines | rr.SeriesPoints:
-        """By the part below the axis, which no name in it divides; the axis may be called like OVERVIEW."""
-        _, axis, plot, line = path.rsplit("/", 3)
-        below = f"{plot}/{line}"
-        own = own_series(self._plan, axis)
-        known: tuple[Series | Marks, ...] = (*SERIES, *MARKS, *LIMIT_SERIES, *own)
-        return next(each for each in known if each.path == below).styled()
 
     def _show_changes(self, track: str, changes: Sequence[LabelChange]) -> None:
         shown, kept = self._shown.setdefault(track, []), list[LabelChange]()

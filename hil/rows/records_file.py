@@ -27,7 +27,8 @@ from servobench.hil.rows.run_files import FORMAT
 
 MAGIC = b"ARROW1\0\0"
 _MAGIC_END = b"ARROW1"
-_OPTIONS = pa.ipc.IpcWriteOptions(compression="zstd")
+_OPTIONS = pa.ipc.IpcWriteOptions(compression=pa.Codec("zstd", 2))
+"""Takes the time of level 1, and 5 to 9 % less room; level 5 takes twice the time for another 2 %."""
 
 BATCH_ROWS_MAX: Final = 1 << 20
 """One is written each second, or when 8192 rows have come: so many take half a gigabyte of memory."""

@@ -58,8 +58,17 @@ def names(page: Any) -> list[str]:
 
 
 def paths(page: Any) -> dict[str, list[str]]:
-    """What the plots of a page show, by title."""
-    return {str(view.name): [path.removeprefix("+ ") for path in view.contents] for view in parts(page)}
+    """What the plots of a page show, by title; of cycles each line, as "/axis1/cycles/speed_reference"."""
+    return {
+        str(view.name): [each for path in view.contents for each in drawn(view, path)] for view in parts(page)
+    }
+
+
+def drawn(view: Any, path: str) -> list[str]:
+    entity = path.removeprefix("+ ")
+    lines = view.visualizer_overrides[entity] if entity.endswith("/cycles") else []
+    fields = [mapping.selector for line in lines for mapping in line.mappings]
+    return [f"{entity}/{field.removeprefix('.')}" for field in fields] or [entity]
 
 
 def window_s(view: Any) -> tuple[float, float] | None:
@@ -114,8 +123,8 @@ def test_positions_controllers_and_observed_objects_have_pages_of_their_own() ->
         "Zoom": ["left", "right", "third"],
     }
     assert paths(found["Controller"]) == {
-        "gap": ["/third/controller/gap"],
-        "force": ["/third/controller/force"],
+        "gap": ["/third/cycles/controller_gap"],
+        "force": ["/third/cycles/controller_force"],
     }
     assert paths(found["Observed"]) == {
         "motor temperature [deg C]": ["/left/observed/2030h_1"],
@@ -140,24 +149,22 @@ def replace_name(signal: ObservedSignal, name: str, unit: str) -> ObservedSignal
 def test_a_page_of_an_axis_shows_its_series_their_limits_and_few_marks(enveloped: bool) -> None:
     """Envelopes have no dropouts: their marks are those of the rows."""
     whole = replace(WHOLE, enveloped=enveloped, few_marks=frozenset({"axis1"}))
-    at = "/overview/axis1" if enveloped else "/axis1"
+    cycles = "/axis1/cycles/{}_{}".format
+    at = "/overview/axis1/{}/{}".format if enveloped else cycles
+    brake = "/overview/axis1/torque/brake" if enveloped else "/axis1/torque/brake"
     shown = {
         "Speed [r/min]": [
-            *(f"{at}/speed/reference", f"{at}/speed/estimate", f"{at}/speed/measured"),
+            *(at("speed", "reference"), at("speed", "estimate"), at("speed", "measured")),
             *("/limits/axis1/speed/**", "/axis1/speed/dropped"),
         ],
-        "Speed error [r/min]": [f"{at}/error/error", "/limits/axis1/error/**"],
+        "Speed error [r/min]": [at("error", "error"), "/limits/axis1/error/**"],
         "Torque [mN m]": [
-            *(f"{at}/torque/command", f"{at}/torque/load", f"{at}/torque/measured", f"{at}/torque/brake"),
+            *(at("torque", "command"), at("torque", "load"), at("torque", "measured"), brake),
             "/limits/axis1/torque/**",
         ],
         "Delay of the readings [us]": [
-            *(
-                f"{at}/delay/delay",
-                "/limits/axis1/delay/**",
-                "/axis1/delay/uncertain",
-                "/axis1/delay/dropped",
-            ),
+            at("delay", "delay"),
+            *("/limits/axis1/delay/**", "/axis1/delay/uncertain", "/axis1/delay/dropped"),
         ],
     }
     page = pages(SOLO, whole)["Overview"]
@@ -167,8 +174,10 @@ def test_a_page_of_an_axis_shows_its_series_their_limits_and_few_marks(enveloped
     assert many["Speed [r/min]"] == shown["Speed [r/min]"][:-1], "they would bury the line"
     assert many["Delay of the readings [us]"] == shown["Delay of the readings [us]"][:-1]
     zoomed = paths(pages(SOLO, replace(whole, few_marks=frozenset()))["Zoom"])
-    near = [path.replace("/overview", "") for path in shown["Speed [r/min]"] if "/limits" not in path]
-    assert zoomed["Speed [r/min]"] == near, "each dropout is seen and each row, and no limit that is far away"
+    near = [cycles("speed", each) for each in ("reference", "estimate", "measured")]
+    assert zoomed["Speed [r/min]"] == [*near, "/axis1/speed/dropped"], (
+        "each dropout is seen and each row, and no limit that is far away"
+    )
     assert "/limits/axis1/error/**" in zoomed["Speed error [r/min]"]
     assert "/axis1/speed/dropped" in paths(pages(SOLO, LIVE)["Overview"])["Speed [r/min]"]
 
@@ -177,16 +186,16 @@ def test_a_position_has_its_marks_at_the_delay_alone() -> None:
     solo = plan(POSITION)
     shown = paths(pages(solo, WHOLE)["Overview"])
     assert shown["Position [rad]"] == [
-        *("/right/position/reference", "/right/position/measured", "/limits/right/position/**")
+        *("/right/cycles/position_reference", "/right/cycles/position_measured", "/limits/right/position/**")
     ]
     assert shown["Position error [rad]"] == [
-        "/right/position_error/error",
+        "/right/cycles/position_error_error",
         "/limits/right/position_error/**",
     ]
     assert [window_s(view) for view in parts(pages(solo, WHOLE)["Speed"])] == [(1.0, 3.0)] * 2
     speed = paths(pages(solo, replace(WHOLE, few_marks=frozenset({"right"})))["Speed"])
     assert speed["Speed [r/min]"] == [
-        *("/right/speed/reference", "/right/speed/estimate", "/right/speed/measured"),
+        *(f"/right/cycles/speed_{each}" for each in ("reference", "estimate", "measured")),
         "/limits/right/speed/**",
     ]
 
@@ -197,14 +206,14 @@ def test_timing_shows_delay_commands_and_clock() -> None:
     assert [window_s(view) for view in parts(page)] == [(1.0, 3.0)] * 3
     assert paths(page) == {
         "Delay of the readings [us]": [
-            *("/axis1/delay/delay", "/limits/axis1/delay/**", "/axis1/delay/uncertain"),
+            *("/axis1/cycles/delay_delay", "/limits/axis1/delay/**", "/axis1/delay/uncertain"),
         ],
         "Commands, from hand-over [us]": [
-            *("/axis1/commands/on_bus", "/axis1/commands/acting", "/axis1/commands/computing"),
+            *(f"/axis1/cycles/commands_{each}" for each in ("on_5f_bus", "acting", "computing")),
             *("/limits/axis1/commands/**", "/axis1/commands/lost"),
         ],
         "Clock offset since the start, with its bounds [us]": [
-            *("/axis1/clock/lower", "/axis1/clock/upper", "/axis1/clock/offset"),
+            *(f"/axis1/cycles/clock_{each}" for each in ("lower", "upper", "offset")),
             "/limits/axis1/clock/**",
         ],
     }

@@ -359,7 +359,7 @@ def test_a_negative_delay_is_drawn_and_lies_within_the_plot(tmp_path: Path) -> N
     rows["delay_ns"] = 300_000, -1, -250_000, NOTHING
     path = write_run(plan_for(tmp_path), rows, events=())
     _, delays_us = numbers(path, "/axis1/delay/delay")
-    assert delays_us.tolist() == [300.0, -0.001, -250.0]
+    assert delays_us.tolist() == pytest.approx([300.0, -0.001, -250.0])
     bottoms = [low for low, _ in _axis_ranges(path)]
     assert min(bottoms) <= -250.0
 
