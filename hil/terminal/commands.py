@@ -10,8 +10,9 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import is_dataclass
+from enum import EnumType
 from functools import wraps
-from typing import Any, Final, NoReturn
+from typing import Any, Final, Literal, NoReturn, get_args, get_origin
 
 import typer
 from typer import Abort, BadParameter, Exit
@@ -83,6 +84,23 @@ PANELS: Final = ("Run", "Inspect", "Commission", "Design", "Review")
 """Panels of ``hil --help``, the most used first."""
 
 
+UNITS: Final = frozenset({"us", "ms", "s", "rpm", "ppm", "percent", "deg", "c"})
+"""Last words of options' names that say the unit of the value."""
+LETTERS: Final = {int: "N", float: "X", str: "TEXT"}
+
+
+def value_shown(item: Any) -> str | None:
+    """Return what help shows for the value of an option that names none: ``cst|csv``, ``MS``, ``N``."""
+    kind: Any = item.type_descriptor.annotation
+    if isinstance(kind, EnumType):
+        members: Any = kind
+        return "|".join(str(each.value) for each in members)
+    if get_origin(kind) is Literal:
+        return "|".join(get_args(kind))
+    unit = item.opts[0].rpartition("-")[2]
+    return unit.upper() if unit in UNITS else LETTERS.get(kind)
+
+
 def _without_values(options: list[Any]) -> list[Any]:
     """Show no value beside flags that typer itself adds: it writes ``<bool>`` there."""
     for option in options:
@@ -103,7 +121,16 @@ def _in_our_words(misuse: BadParameter) -> BadParameter:
 
 
 class PlainCommand(TyperCommand):
-    """Shows no value beside ``--help``, and tells a value that it refuses."""
+    """Shows values as the field names them and none beside ``--help``, and tells a value that it refuses."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        item: Any
+        for item in self.params:
+            if item.param_type_name == "argument":
+                item.display_type_rich = lambda ctx: None  # its name says what it is
+            elif item.metavar is None:
+                item.metavar = value_shown(item)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the words. Raises BadParameter."""

@@ -51,7 +51,7 @@ def bus_option(text: str) -> Any:
 
 def bitrate_option(text: str) -> Any:
     """Declare ``--bitrate``, bit/s."""
-    return typer.Option("--bitrate", min=10_000, help=text)
+    return typer.Option("--bitrate", metavar="BIT/S", min=10_000, help=text)
 
 
 def seed_option(text: str, most: int | None = 2**63 - 1) -> Any:

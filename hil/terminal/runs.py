@@ -28,7 +28,10 @@ def runs(
     since: Annotated[
         datetime | None,
         typer.Option(
-            "--since", help="Local time.", formats=["%Y-%m-%d", "%Y-%m-%dT%H:%M", "%Y-%m-%dT%H:%M:%S"]
+            "--since",
+            metavar="DATE",
+            help="Local time: 2026-03-14 or 2026-03-14T09:30.",
+            formats=["%Y-%m-%d", "%Y-%m-%dT%H:%M", "%Y-%m-%dT%H:%M:%S"],
         ),
     ] = None,
     unsealed: UnsealedOption = False,

@@ -24,7 +24,7 @@ def scan(
     store: Annotated[bool, flag("--store", "With --assign: store the node-ID in the device.")] = False,
     passive: Annotated[bool, flag("--passive", "Only listen; send nothing.")] = False,
     listen: Annotated[
-        float, valued("--listen", None, "Time to listen before sending, s.", min=0.0, max=600.0)
+        float, valued("--listen", "S", "Time to listen before sending, s.", min=0.0, max=600.0)
     ] = 1.5,
     as_json: JsonOption = False,
 ) -> None:

@@ -56,10 +56,18 @@ def test_nothing_in_brackets_is_eaten_as_markup(words: tuple[str, ...]) -> None:
 
 
 @pytest.mark.parametrize("words", list(_pages()), ids=" ".join)
-def test_what_takes_no_value_shows_none(words: tuple[str, ...]) -> None:
+def test_a_value_is_named_as_the_field_names_it_and_never_by_its_type(words: tuple[str, ...]) -> None:
     page = CliRunner().invoke(app, [*words, "--help"], env={"COLUMNS": "160"}).stdout
     assert "--help" in page
-    assert "<bool>" not in page
+    assert re.findall(r"<[a-z%][^ =]*( range)?>", page) == []
+
+
+def test_the_value_of_an_option_is_its_unit_its_choices_or_a_letter() -> None:
+    page = CliRunner().invoke(app, ["eds", "--help"], env={"COLUMNS": "160"}).stdout
+    shown = dict(re.findall(r"│ (--[a-z-]+) +(\S+)", page))
+    assert shown["--node"] == "N"
+    assert (shown["--period-us"], shown["--bitrate"]) == ("US", "BIT/S")
+    assert shown["--mode"] == "cst|csv|csp|ip|vl|pt|pv|pp"
 
 
 @pytest.mark.parametrize("words", list(_pages()), ids=" ".join)
