@@ -164,7 +164,7 @@ def compare_runs(runs: Sequence[RecordedRun], tolerances: Tolerances | None = No
 
 
 def _beside(base: RecordedRun, run: RecordedRun) -> Against:
-    beside = Against(run, RunSignals(run))
+    beside = Against(run, RunSignals(run.review, run.config.loop.deadline))
     if run is base:
         for rows in run.rows():
             beside.signals.add(rows)

@@ -65,7 +65,7 @@ def judge_run(
             limits = replace(limits, compute_us_max=None)
         plan = replace(plan, limits=limits, settling=asked.settling, band_percent=asked.settling_band_percent)
     run = replace(run, review=plan)
-    signals = RunSignals(run)
+    signals = RunSignals(run.review, run.config.loop.deadline)
     for rows in run.bench_rows():
         signals.add(rows, run.first_cycle)
         beside(rows)

@@ -36,11 +36,12 @@ _RUG_WIDTH: Final = 0.6
 """Least width of a mark, pt: a lost cycle is seen in an hour."""
 
 
-def paper_figure(run: RunSignals) -> Figure:
+def paper_figure(run: RunSignals, since: str = "the first cycle") -> Figure:
     """Speed and position, as axes are given them, each with its error, torque and delay over one time axis.
 
     Light, for print. What was read is interrupted where no reading came, and each dropout is marked. An
-    error's limit is drawn where it is judged; where an error is not counted the plot is shaded.
+    error's limit is drawn where it is judged; where an error is not counted the plot is shaded. Times count
+    from ``since``.
     """
     plots = [each for each in _PLOTS if run.axes_in(each[0])]
     heights = [height for _, _, _, height in plots]
@@ -60,18 +61,21 @@ def paper_figure(run: RunSignals) -> Figure:
     _draw_deadline(axes[-1], run)
     for ax in axes:
         ax.legend(fontsize="x-small", loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
-    axes[-1].set_xlabel("time since the first cycle [s]", fontsize="small")
+    axes[-1].set_xlabel(f"time since {since} [s]", fontsize="small")
     axes[-1].set_xlim(*run.window_s)
     figure.align_ylabels(axes)
     return figure
 
 
+def _has_points(run: RunSignals, path: str) -> bool:
+    return path in run.signals and run.signals[path].ends() is not None
+
+
 def _draw(ax: Any, run: RunSignals, name: str, path: str) -> None:
-    envelope = run.signals.get(f"{name}/{path}")
-    if envelope is None:
+    if not _has_points(run, f"{name}/{path}"):
         return
     asked = path not in READ_SERIES
-    points = envelope.points()
+    points = run.signals[f"{name}/{path}"].points()
     times, values = points if asked else run.gaps[name].interrupt(points, run.last_cycle)
     plot, _, word = path.partition("/")
     of = f"{name}: " if len(run.axes) > 1 else ""

@@ -110,21 +110,24 @@ def open_run(folder: Path, *, unsealed: bool = False) -> RecordedRun:
 class RunSignals:
     """The rows of a run in bounded memory, as envelopes and as figures; :meth:`add` all of them."""
 
-    def __init__(self, run: RecordedRun, begin_s: float | None = None, end_s: float | None = None) -> None:
+    def __init__(
+        self, plan: ReviewPlan, deadline_ns: int, begin_s: float | None = None, end_s: float | None = None
+    ) -> None:
         """``begin_s``, ``end_s``: the run time of which signals are kept; the figures are those of all."""
-        self.axes = run.axes
-        self.by_position = {axis.name for axis in run.review.axes if axis.quantity == "position"}
+        self.axes = tuple(axis.name for axis in plan.axes)
+        self.by_position = {axis.name for axis in plan.axes if axis.quantity == "position"}
         """Axes that are given positions."""
-        self.deadline_ns = run.config.loop.deadline
-        self.period_ns = run.config.loop.period
-        self.review = Review(run.review)
+        self._by_torque = {axis.name for axis in plan.axes if axis.quantity == "torque"}
+        self.deadline_ns = deadline_ns
+        self.period_ns = plan.period
+        self.review = Review(plan)
         self.signals: dict[str, Envelope] = {}
         """By axis and series, as "axis1/speed/measured"; r/min, rad, N m and us over ns of the run time."""
         self.gaps = {name: Gaps() for name in self.axes}
         """In run time."""
         self.last_cycle = 0
         """ns of the run time."""
-        self._limits = run.review.limits
+        self._limits = plan.limits
         self.window_s = begin_s, end_s
         self._begin = -NEVER if begin_s is None else round(begin_s * NS_PER_S)
         self._end = NEVER if end_s is None else round(end_s * NS_PER_S)
@@ -148,9 +151,11 @@ class RunSignals:
                 signal.add(mine["due_at"] - first_cycle, values)
 
     def axes_in(self, plot: str) -> list[str]:
-        """Return the axes that a plot shows: speeds and positions those that are given them, others all."""
+        """Return the axes that a plot shows: positions and speed errors those that are given them, speeds
+        those that are given no positions, others all."""
         if plot in ("speed", "error"):
-            return [name for name in self.axes if name not in self.by_position]
+            without = self.by_position | (self._by_torque if plot == "error" else set())
+            return [name for name in self.axes if name not in without]
         return [name for name in self.axes if name in self.by_position or not plot.startswith("position")]
 
     @property
@@ -214,7 +219,7 @@ class RunSignals:
 
 def signals_of(run: RecordedRun, begin_s: float | None = None, end_s: float | None = None) -> RunSignals:
     """Read the rows once; ``begin_s``, ``end_s``: of which run time, None: all of it."""
-    signals = RunSignals(run, begin_s, end_s)
+    signals = RunSignals(run.review, run.config.loop.deadline, begin_s, end_s)
     for rows in run.rows():
         signals.add(rows)
     return signals

@@ -244,7 +244,7 @@ FOREIGN: Final = (
     ForeignLog("python-can.log", by_python_can()),
     ForeignLog("savvycan.log", _savvy_candump, "ef"),
     ForeignLog("python-can.db", _sqlite, "f"),
-    ForeignLog("python-can.mf4", _mf4(0), by_python_can=False),
+    ForeignLog("plain.mf4", _mf4(0), by_python_can=False),
     ForeignLog("transposed.mf4", _mf4(2), by_python_can=False),
     ForeignLog("socketcan.pcap", capture(227, b"", "<", ">"), by_python_can=False),
     ForeignLog("microseconds.pcap", capture(227, b"", ">", ">", ns=False), by_python_can=False),

@@ -31,7 +31,7 @@ from servobench.hil.reviewing.trace.frame_columns import EVER_NS
 from servobench.hil.reviewing.trace.log_frame import LogFrame
 from servobench.hil.reviewing.trace.node_objects import KnownNodes, NodeObjects
 from servobench.hil.reviewing.trace.object_value import ObjectValue
-from servobench.hil.reviewing.trace.pdo_book import PdoBook
+from servobench.hil.reviewing.trace.pdo_book import PdoBook, PdoLayout
 from servobench.hil.reviewing.trace.sdo_transfer import SdoChannel, SdoTransfer
 from servobench.hil.reviewing.trace.trace_entry import TraceEntry
 
@@ -218,7 +218,7 @@ class BusDecoder:
         if service == ERROR_CONTROL:
             return [self._error_control(frame, node)]
         if service == EMERGENCY and not frame.remote:
-            objects = self._objects(node)
+            objects = self.objects(node)
             code = int.from_bytes(frame.data[:2], "little") if len(frame.data) >= 2 else None
             text = emergency_text(node, frame.data, objects.make)
             return [_entry(frame, "emcy", node, text)._replace(details=(("error_code", code),))]
@@ -232,17 +232,32 @@ class BusDecoder:
             for transfer in channel.close()
         ]
 
+    @property
+    def mappings(self) -> int:
+        """How often a PDO may have got another layout so far."""
+        return self._pdos.changes
+
+    def layout(self, can_id: int) -> PdoLayout | None:
+        """Return the layout of the PDO that an identifier stands for, whose node is known from now on; None:
+        it is that of no PDO."""
+        layout = self._pdos.layout(can_id, self._nodes)
+        if layout is not None and layout.node not in self._nodes:
+            self.objects(layout.node)
+            layout = self._pdos.layout(can_id, self._nodes) or layout
+        return layout
+
+    def objects(self, node: int) -> NodeObjects:
+        """Return what is known of a node's objects."""
+        objects = self._nodes.get(node)
+        if objects is None:
+            objects = self._nodes[node] = self._known.objects(self._channel, node)
+            self._pdos.mark_stale()
+        return objects
+
     def has_open_transfer(self, begun_by_ns: int) -> bool:
         """Return True if an SDO transfer that began by then has not ended."""
         pending = [channel.pending for channel in self._sdo.values()]
         return any(one is not None and (one.first.at_ns or 0) <= begun_by_ns for one in pending)
-
-    def _objects(self, node: int) -> NodeObjects:
-        objects = self._nodes.get(node)
-        if objects is None:
-            objects = self._nodes[node] = self._known.objects(self._channel, node)
-            self._pdos.stale = True
-        return objects
 
     def _broadcast(self, frame: LogFrame) -> TraceEntry:
         if frame.remote:
@@ -260,7 +275,7 @@ class BusDecoder:
         return self._process_data(frame)
 
     def _error_control(self, frame: LogFrame, node: int) -> TraceEntry:
-        self._objects(node)
+        self.objects(node)
         if frame.remote:
             self._guarded.add(node)
             return _entry(frame, "guarding", node, "asked for its state")
@@ -269,12 +284,9 @@ class BusDecoder:
         return _entry(frame, kind, node, text)
 
     def _process_data(self, frame: LogFrame) -> TraceEntry:
-        layout = self._pdos.layout(frame.can_id, self._nodes)
+        layout = self.layout(frame.can_id)
         if layout is None:
             return _entry(frame, "other", None, "no identifier of CANopen")
-        if layout.node not in self._nodes:
-            self._objects(layout.node)
-            layout = self._pdos.layout(frame.can_id, self._nodes) or layout
         node, name = layout.node, layout.name
         if frame.remote:
             return _entry(frame, "pdo", node, f"{name} asked for by a remote frame")
@@ -304,13 +316,13 @@ class BusDecoder:
         return [self._transferred(node, transfer) for transfer in ended]
 
     def _transferred(self, node: int, transfer: SdoTransfer) -> TraceEntry:
-        objects = self._objects(node)
+        objects = self.objects(node)
         index, sub, data = transfer.index, transfer.sub, bytes(transfer.data)
         if transfer.whole and (data or not transfer.download):
             objects.take(index, sub, data)
-            if index == Cia301.IDENTITY and self._known.identified(objects, node):
-                self._pdos.stale = True
-            self._pdos.stale |= index in PDO_PARAMETERS
+            found = index == Cia301.IDENTITY and self._known.identified(objects, node)
+            if found or index in PDO_PARAMETERS:
+                self._pdos.mark_stale()
         elif not transfer.download and transfer.abort_code in _NO_OBJECT:
             objects.lacks(index, sub)
         value = objects.value(index, sub, data)

@@ -5,9 +5,11 @@ bus has shown of them.
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
+import numpy as np
 from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable
+from numpy.typing import NDArray
 
 from servobench.drivers.canopen.error_codes import fault_text, history_text, register_text
 from servobench.drivers.canopen.objects301 import (
@@ -69,6 +71,9 @@ _WORDS_OF_BITS: Final[frozenset[int]] = frozenset(
     | {Object.SI_UNIT_POSITION, Object.SI_UNIT_VELOCITY, Object.SI_UNIT_ACCELERATION, Object.SI_UNIT_JERK}
     | {Object.SUPPORTED_DRIVE_MODES}
 )
+
+
+Numbers = TypeVar("Numbers", float, NDArray[np.float64])
 
 
 class _Units(NamedTuple):
@@ -155,7 +160,7 @@ class NodeObjects:
             name = self._names[index, sub] = self._name(index, sub)
         si = unit = None
         if isinstance(raw, int | float):
-            si, unit = self._in_si(index, sub, raw)
+            si, unit = self.in_si(index, sub, raw)
         words = self._words(index, sub, raw) if isinstance(raw, int) else ""
         return ObjectValue(index, sub, name, raw, si, unit or "", words, _is_word_of_bits(index, sub))
 
@@ -200,7 +205,9 @@ class NodeObjects:
             return history_text(raw, *self.make)
         return ""
 
-    def _in_si(self, index: int, sub: int, raw: float) -> tuple[float | None, str]:
+    def in_si(self, index: int, sub: int, raw: Numbers) -> tuple[Numbers | None, str]:
+        """Return a raw number, or many, in SI with the unit; None where nobody has told how the drive
+        counts."""
         if index in _FIXED:
             factor, unit = _FIXED[index]
             return raw * factor, unit

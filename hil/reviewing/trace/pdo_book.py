@@ -56,13 +56,19 @@ class PdoBook:
 
     def __init__(self) -> None:
         self._layouts: dict[int, PdoLayout] = {}
-        self.stale = True
+        self._stale = True
+        self.changes = 0
+        """How often :meth:`mark_stale` was called."""
+
+    def mark_stale(self) -> None:
         """A PDO parameter was told, or there is a new node."""
+        self._stale = True
+        self.changes += 1
 
     def layout(self, can_id: int, nodes: dict[int, NodeObjects]) -> PdoLayout | None:
         """Return the layout for an identifier; None if it is that of no PDO."""
-        if self.stale:
-            self._layouts, self.stale = _layouts(nodes), False
+        if self._stale:
+            self._layouts, self._stale = _layouts(nodes), False
         known = self._layouts.get(can_id)
         if known is None and 0x180 < can_id < 0x580 and can_id & 0x7F:
             number, receives = divmod((can_id >> 7) - 3, 2)

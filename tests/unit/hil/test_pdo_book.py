@@ -120,12 +120,12 @@ def test_of_two_with_one_identifier_it_is_the_tpdo_and_of_the_lower_node() -> No
 def test_the_book_is_made_anew_only_when_it_is_stale() -> None:
     book, nodes = PdoBook(), {5: node({})}
     unknown, known = PdoLayout(5, "TPDO1", None), PdoLayout(5, "TPDO1", (STATUSWORD,))
-    assert (book.stale, book.layout(0x185, nodes), book.stale) == (True, unknown, False)
+    assert (book.layout(0x185, nodes), book.changes) == (unknown, 0)
     for key, word in mapping(0x1A00, 0x6041_0010).items():
         nodes[5].take(*key, word.to_bytes(4, "little"))
     assert book.layout(0x185, nodes) == unknown
-    book.stale = True
-    assert (book.layout(0x185, nodes), book.stale) == (known, False)
+    book.mark_stale()
+    assert (book.layout(0x185, nodes), book.changes) == (known, 1)
 
 
 def numbers(told: PdoLayout | None, data: bytes, objects: NodeObjects | None = None) -> list[object]:
