@@ -70,6 +70,8 @@ class Question:
         if no such one is in doubt."""
         self.cleared = False
         """Whether a question ended without leaving a reading uncertain, since this was last set back."""
+        self.left_open = False
+        """Whether one ended with the last reading and left some uncertain; the next may have begun then."""
         self._doubted: dict[int, int] = {}
         """Bounds of rows whose readings may be others'."""
         self._proved: dict[int, tuple[Instant, int]] = {}

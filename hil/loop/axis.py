@@ -323,7 +323,7 @@ class Axis:
             self.meter.forget_doubts()
         if question.open:
             newest = self.meter.newest
-            if not was_open:
+            if not was_open or question.left_open:
                 self.meter.keep_doubts()
             self.meter.doubt(newest if question.since is None else question.since, max(newest, self._begun))
         if sample is None or not self.meter.arrived(sample):

@@ -34,16 +34,14 @@ class OrderAttribution:
     """
 
     def __init__(self, syncs: SyncLog, period: Duration, transit: Duration, tell: Tell) -> None:
-        self.health = Health()
-        self.question = Question()
+        self.health, self.question = Health(), Question()
         self._syncs, self._tell = syncs, tell
         self._period, self._transit = period, transit
         self._echo_error, self._delays = syncs.error_ns, SampleDelays(syncs, period, transit)
         self._kept_order = KeptOrder(syncs, period, transit)
         self._usual = UsualDelays(period, transit, syncs.error_ns, syncs.basis in STAMPED_LATE)
         self._in_question = OrderQuestion(syncs, period, transit, self._usual)
-        self._answered = 0  # number of the last SYNC that has its reading
-        self._known = 0  # the same of readings whose place was certain
+        self._answered = self._known = 0  # numbers of the last SYNCs that have readings, and certain ones
         self._open, self.copies = Unanswered(syncs), Copies(period)
         self._sure, self._beyond = True, False  # beyond: the question has had no answer so far
         self._unsure = Unconfirmed(self.question, self._usual)
@@ -81,12 +79,11 @@ class OrderAttribution:
         self._in_question.probed(mark.number, ASK_AGAIN_AFTER if self._beyond else self._lags() + 1)
 
     def place(self, reading: Reading) -> Sample | None:
-        copy = self.copies.holds(reading)
+        copy, self.question.left_open = self.copies.holds(reading), False
         self._untidy -= self._untidy > 0
-        if copy and self.copies.told_by_stamps:
-            self.health.duplicates += 1
-            return None
-        return self._place(reading, copy)
+        again = copy and self.copies.told_by_stamps
+        self.health.duplicates += again
+        return None if again else self._place(reading, copy)
 
     def _place(self, reading: Reading, copy: bool) -> Sample | None:
         received_at, usual = reading.received_at, self._usual
@@ -130,7 +127,7 @@ class OrderAttribution:
         self._in_question.take_copy(copy=copy)
         final = copy or self._sure or self._beyond or self._syncs.may_hide(mark, received_at)
         if waits := not final and self._in_question.fits(delay, self._lags()):
-            self._unsure.add((mark.sequence, received_at, self._error_of(delay)), behind)
+            self._unsure.add((mark.sequence, received_at, self._error_of(delay)), delay, behind)
         certain = self._sure and not (copy or (behind and self._untidy > 0))
         return self._sample(reading, mark, certain=certain, waits=waits)
 
@@ -223,6 +220,7 @@ class OrderAttribution:
             self._in_question.odd += self._untidy > 0 and self._unsure.behind
             self._unsure.confirm(NEVER, untidy=self._untidy > 0)
             self.question.cleared = self._in_question.odd == 0
+            self.question.left_open = not self.question.cleared
         if self._beyond:
             self._tell("it is known again which SYNCs its readings answer")
         self._sure = self._in_question.phase_known = True
@@ -278,7 +276,9 @@ class OrderAttribution:
         age = reading.received_at - mark.on_bus_at
         next_one = mark.number == self._answered + 1
         behind_unheard = mark.handed_at == mark.on_bus_at and age - self._transit >= self._period * 3 // 4
-        alone = not (held or behind_unheard) and self._is_only_one(mark, copy)
+        if stamped_late := self._syncs.may_precede(latest, mark):
+            self._doubt(self._syncs.marks[-1])
+        alone = not (held or behind_unheard or stamped_late) and self._is_only_one(mark, copy)
         if next_one or not copy:
             self._strays.append(age)
             self._strays_known = self._strays_known + 1 if alone else 0
@@ -320,9 +320,9 @@ class OrderAttribution:
         if not self._sure:
             self._in_question.weigh(reading.received_at)
             self._in_question.stray()
+        self._in_question.odd += (behind := self._open.may_be_taken_for(mark)) and not copy
         if not (self._sure or self._beyond or copy):
-            row = mark.sequence, reading.received_at, self._error_of(age)
-            self._unsure.add(row, self._open.may_be_taken_for(mark))
+            self._unsure.add((mark.sequence, reading.received_at, self._error_of(age)), age, behind)
         return self._guess(reading, mark)
 
     def _is_only_one(self, mark: SyncMark, copy: bool) -> bool:

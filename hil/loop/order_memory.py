@@ -134,10 +134,12 @@ class Unconfirmed:
         self._usual = usual
         self._rows: list[tuple[tuple[int, Instant, int], bool]] = []
 
-    def add(self, row: tuple[int, Instant, int], behind: bool) -> None:
+    def add(self, row: tuple[int, Instant, int], delay: int, behind: bool) -> None:
         """``row``: its cycle, when the reading came, and the bound of its sample if the answer confirms it.
-        ``behind``: whether it may be of a SYNC before, if frames are held up."""
-        self._rows.append((row, behind))
+        ``behind``: whether it may be of a SYNC before, if frames are held up: one of a ``delay`` that none
+        was seen to have is not confirmed then."""
+        if not behind or self._usual.saw(delay):
+            self._rows.append((row, behind))
 
     def drop(self, sequence: int) -> None:
         """The reading of that cycle may be another's in any case."""

@@ -308,13 +308,18 @@ class SyncLog:
         """How many SYNCs of another node are missing behind ``mark``."""
         return self.missing - (mark.place - mark.number)
 
+    def may_precede(self, at: Instant, mark: SyncMark) -> bool:
+        """Whether the last SYNC, behind ``mark``, may have ended by ``at``, as its echo was stamped late."""
+        last = self.marks[-1]
+        behind = last.number > mark.number and last.on_bus_at is not None
+        return behind and (last.on_bus_at or 0) - last.late_ns <= at
+
     def may_lack(self, mark: SyncMark, at: Instant) -> bool:
         """Whether another node's SYNC that was not heard lay nearer to ``at`` than ``mark``, the nearest."""
         assert mark.on_bus_at is not None
         if not self.of_another or 2 * abs(at - mark.on_bus_at) <= self._period:
             return False
-        beside = mark.number + (1 if at > mark.on_bus_at else -1)
-        place = beside - self.marks[0].number
+        place = mark.number - self.marks[0].number + (1 if at > mark.on_bus_at else -1)
         return 0 <= place < len(self.marks) and abs(self.marks[place].place - mark.place) > 1
 
     def nearest(self, at: Instant) -> SyncMark | None:

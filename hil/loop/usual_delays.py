@@ -28,6 +28,9 @@ TAIL_PARTS: Final = 4
 """By such a part of their spread the next delay may well be off: not all spread evenly."""
 RESOLUTION_NS: Final = 2 * NS_PER_US
 """Deviation that delays have at least: the stuff bits of one frame or two."""
+FREE_PARTS: Final = 4
+"""Where delays reach to within such a part of a period, others are longer than it: a calibration, which takes
+readings for those of the SYNC before, cannot know."""
 FIRST: Final = 32
 """Readings of a run until they say how far delays spread: a calibration's are of a bus without commands, and
 of a shaft at rest."""
@@ -87,6 +90,11 @@ class UsualDelays:
         return self.high - self.low
 
     @property
+    def _may_be_all(self) -> bool:
+        """Whether delays leave a part of the period free, so that none is longer than it."""
+        return FREE_PARTS * self.parts * self.spread <= (FREE_PARTS - 1) * self._period
+
+    @property
     def narrow(self) -> bool:
         """Whether one of another delay hardly looks usual: they spread over half a period at the most."""
         return 2 * self.parts * self.spread <= self._period
@@ -106,12 +114,12 @@ class UsualDelays:
     def tell(self, *, certain: bool) -> bool:
         """Whether the place of a reading, ``certain`` by what is usual, may be told so: not where most of the
         last ones were in doubt, and one that is held up may well look usual; nor where so many came at other
-        delays that none is usual."""
+        delays that none is usual, or a calibration may have taken longer ones for shorter."""
         self._unsure += (1.0 - certain - self._unsure) / KEPT
         self._told += self._told < KEPT
         self._unusual -= self._unusual / (RARE + self._told)
         self._placed += certain and self._placed < FIRST
-        rare = RARE * self._unusual <= 1.0
+        rare = RARE * self._unusual <= 1.0 and (self._placed >= FIRST or self._may_be_all)
         return certain and rare and (self.narrow or 2.0 * self._unsure < 1.0)
 
     def stray(self, *, copy: bool) -> None:
@@ -176,6 +184,10 @@ class UsualDelays:
         elif not self.low <= delay <= self.high and self.least <= delay <= self.most:
             self.low, self.high = min(self.low, delay), max(self.high, delay)
             self._set_limits()
+
+    def saw(self, delay: int) -> bool:
+        """Whether it is no longer than others, nor shorter."""
+        return self.low <= delay <= self.high
 
     def holds(self, delay: int) -> bool:
         """Whether a delay is usual."""
