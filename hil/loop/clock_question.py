@@ -17,6 +17,13 @@ from servobench.hil.loop.drive_stamps import DriveStamps
 from servobench.hil.loop.residuals import NEARER, DelayExtremes
 from servobench.hil.loop.syncs import STAMPED_LATE, SURPLUS, SyncLog, SyncMark
 
+AGREEING: Final = 8
+"""Readings that must agree before it is settled: fewer could be chance under a jittering SYNC."""
+AGREEING_SPREAD: Final = 32
+"""The same where delays spread over almost a period, so that only the smallest of many is telling."""
+SUSPECTS_MAX: Final = 48
+"""After so many an unlikely answer is taken too. If there is none it is settled for the clock as it was,
+unless a reading would have come before its SYNC."""
 STEP_COST: Final = 3
 """That a clock was set,"""
 DELAY_COST: Final = 3
@@ -45,11 +52,16 @@ DRIFT_WITHIN: Final = 2e-3
 class Suspect:
     """A reading that came while it is open whether the clock was set."""
 
-    def __init__(self, device_ns: int, received_at: Instant, second: bool, early: bool = False) -> None:
+    def __init__(
+        self, device_ns: int, received_at: Instant, known: int | None = None, early: bool = False
+    ) -> None:
+        """``known``: the stamp of the SYNC on which it lies, if that has one already."""
         self.device_ns = device_ns
         self.received_at = received_at
-        self.second = second
-        """Whether it lies on a SYNC that has another stamp already."""
+        self.second = known is not None
+        """Whether it lies on a SYNC that has a reading already,"""
+        self.repeats = known == device_ns
+        """with the same stamp, as a clock makes some again that is set back."""
         self.early = early
         """Whether it would have come before its SYNC if the clock was not set."""
         self.guess = SURPLUS
@@ -113,6 +125,12 @@ class ClockQuestion:
         self._half = period // 2
         self._at_arrival = at_arrival
         self._echoes_late = syncs.basis in STAMPED_LATE
+
+    @property
+    def agreeing(self) -> int:
+        """How many readings settle it. Of delays that spread over less than a period a line that is a period
+        off has some below the time of a frame, or all above those of before."""
+        return AGREEING_SPREAD if self.delays.spreads(self._half * 7 // 4) else AGREEING
 
     def unstamped_ns(self, delay: int) -> int:
         """How much later than its stamp a reading of ``delay`` may have been sampled: 0 unless the stamp is
@@ -237,7 +255,7 @@ class ClockQuestion:
             delay = suspect.received_at - mark.on_bus_at
             if abs(miss - middle) > match_ns + DRIFT_WITHIN * self._half or delay < self._transit - match_ns:
                 return None
-            if self.stamps.get(mark.number, suspect.device_ns) != suspect.device_ns:
+            if self._is_anothers(mark, suspect):
                 return None
             if not scatters:  # it may run at another rate
                 middle = miss
@@ -251,11 +269,30 @@ class ClockQuestion:
         mean = sum(misses) / len(misses)
         squares = sum((miss - mean) ** 2 for miss in misses) * len(last) / len(misses)
         misfit = squares / (2.0 * self._stamps.variance_ns2)
+        if not steps and any(self._is_second(mark, stamp, last, marks) for mark, stamp in self.revoked):
+            return None
         if steps and self.revoked:
             unmoved = self._syncs.nearest(unmoved_at)
             if unmoved is not None and not self._agrees(used, first.number - unmoved.number):
                 return None
         return self._costed(marks, smallest, steps, misfit)
+
+    def _is_anothers(self, mark: SyncMark, suspect: Suspect) -> bool:
+        """Whether the SYNC of ``mark`` has a reading that is not the suspect."""
+        known = self.stamps.get(mark.number)
+        return known is not None and (known != suspect.device_ns or suspect.repeats)
+
+    def _is_second(
+        self, answered: SyncMark, stamp: int, last: list[Suspect], marks: list[SyncMark | None]
+    ) -> bool:
+        """Whether a SYNC that was ``answered`` with a stamp has another one on this way: no clock that runs
+        on makes two of one SYNC."""
+        return any(
+            mark is not None
+            and mark.number == answered.number
+            and (suspect.device_ns != stamp or suspect.repeats)
+            for suspect, mark in zip(last, marks, strict=True)
+        )
 
     def _miss(self, at: Instant) -> int:
         """By how much the SYNC nearest to ``at`` is later."""
@@ -278,7 +315,7 @@ class ClockQuestion:
             delays.append(suspect.received_at - mark.on_bus_at)
             if off > 2 * self._half * NEARER or delays[-1] < self._transit - match_ns:
                 return []
-            if self.stamps.get(mark.number, suspect.device_ns) != suspect.device_ns:
+            if self._is_anothers(mark, suspect):
                 return []
             misfit += min(off * off / variance, OUTLYING**2) / 2.0
             marks.append(mark)

@@ -90,7 +90,7 @@ class PeriodDoubt:
         self.revoked: list[int] = []
         """Cycles from before, whose rows stay as they were if they are placed right."""
         self.proved = True
-        """Whether all readings since it began are, in the cycles in which they were placed."""
+        """Whether all readings are, in the cycles in which they were placed, since the question was put."""
         self.since = 0
         """Number of the newest SYNC that had been answered before."""
         self.wants_probe = False
@@ -126,7 +126,6 @@ class PeriodDoubt:
         if not self.ways:
             self._low, self._slack, self.since = delays.low, delays.slack(), since
             self.ways = [Placing(0, False)]
-            self.proved = True
         ways: dict[int, bool] = {}
         for old in self.ways:
             for offset_ns, stepped in ((0, steps), *others):

@@ -63,6 +63,13 @@ class Extremes:
         self.low = self.high = 0
         """0 before the first value."""
         self._low = self._high = self._count = self._seen = 0
+        self._unknown = self._unknown_next = 0
+        """By how much more than they reach over they may lie, as it is not known where."""
+
+    @property
+    def width(self) -> int:
+        """How far they reach."""
+        return self.high - self.low - self._unknown
 
     def add(self, value: int) -> None:
         if self._seen == 0:
@@ -75,6 +82,7 @@ class Extremes:
         self._seen = min(self._seen + 1, WATCHED // 2)
         if self._count == WATCHED // 2:
             self.low, self.high, self._count = self._low, self._high, 0
+            self._unknown, self._unknown_next = self._unknown_next, 0
 
     def begin(self, values: Sequence[int]) -> None:
         """Values are others from these on, and spread over no less than before."""
@@ -90,7 +98,7 @@ class Extremes:
 
     def widen(self, reach: int) -> None:
         """They reach over so much, and which way beyond the seen ones is not known."""
-        lacks = max(0, reach - (self.high - self.low))
+        lacks = self._unknown = self._unknown_next = max(0, reach - (self.high - self.low))
         self.low, self.high = self.low - lacks, self.high + lacks
         self._low, self._high = self._low - lacks, self._high + lacks
 
@@ -213,7 +221,7 @@ class Residuals:
     def learn(self, residuals: Sequence[int], unseen_ns: int, *, anew: bool = True) -> None:
         """Take these for all that have been seen; see :meth:`add`. ``anew``: or else they lie about another
         line, and reach as far as others did before."""
-        reached = 0 if anew else self._extremes.high - self._extremes.low
+        reached = 0 if anew else self._extremes.width
         self._extremes = Extremes()
         for residual in residuals:
             self.add(residual, unseen_ns)

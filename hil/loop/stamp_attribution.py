@@ -27,23 +27,16 @@ from servobench.drivers.exchange import Reading
 from servobench.drivers.timebase import NS_PER_US, Duration, Instant
 from servobench.hil.loop.attribution import Health, Question, Tell
 from servobench.hil.loop.clock_map import STAMP_RESOLUTION
-from servobench.hil.loop.clock_question import ClockQuestion, Line, Suspect
+from servobench.hil.loop.clock_question import AGREEING, SUSPECTS_MAX, ClockQuestion, Line, Suspect
 from servobench.hil.loop.drive_stamps import DriveStamps
 from servobench.hil.loop.period_doubt import PeriodDoubt, Placing
 from servobench.hil.loop.residuals import DelayExtremes
 from servobench.hil.loop.samples import Sample
 from servobench.hil.loop.syncs import REMEMBERED, STAMPED_LATE, SURPLUS, SyncLog, SyncMark
 
-AGREEING: Final = 8
-"""Readings that must agree before it is settled: fewer could be chance under a jittering SYNC."""
-AGREEING_SPREAD: Final = 32
-"""The same where delays spread over more than half a period, so that only the smallest of many is telling."""
 REVOKED: Final = 12
 """Where delays spread, a reading after a step lies on a SYNC that has none yet about every second time:
 twelve in a row are one chance in four thousand."""
-SUSPECTS_MAX: Final = 48
-"""After so many an unlikely answer is taken too. If there is none it is settled for the clock as it was,
-unless a reading would have come before its SYNC."""
 
 
 class StampAttribution:
@@ -77,7 +70,7 @@ class StampAttribution:
         self._suspects: list[Suspect] = []
         self._slowest = 0
         """The longest delay of a suspect that lies on a SYNC."""
-        self._recent: deque[SyncMark] = deque(maxlen=REVOKED)
+        self._recent: deque[Sample] = deque(maxlen=REVOKED)
 
     @property
     def spread(self) -> bool:
@@ -124,7 +117,7 @@ class StampAttribution:
         residual = at - mark.on_bus_at
         fits = self.stamps.fits(residual)
         known = self._case.stamps.get(mark.number) if fits else None
-        if known == device_ns:
+        if known == device_ns and self._tells_again(reading):
             self.health.duplicates += 1
             self._case.twice += 1
             return None
@@ -133,6 +126,7 @@ class StampAttribution:
                 if rival.number not in self._case.stamps:
                     self.question.doubt(rival.sequence, self.doubtful_error_ns)
             self._case.answer(mark, device_ns)
+            self.doubt.proved = False
             return self._uncertain(reading, mark)
         free = fits and known is None
         sampled_at = at - self._residuals.middle if self._echoes_late else mark.on_bus_at
@@ -142,7 +136,7 @@ class StampAttribution:
                 self._acquit()
             self._case.twice = 0
             return self._matched(reading, device_ns, mark, residual)
-        return self._suspect(reading, device_ns, mark if free else None, at, known is not None)
+        return self._suspect(reading, device_ns, mark if free else None, at, known)
 
     def _usual(self, mark: SyncMark, delay: int) -> bool:
         """Whether a reading on a free SYNC raises no question, and answers the one that may be open."""
@@ -180,15 +174,25 @@ class StampAttribution:
         health.placed += 1
         delay = reading.received_at - sampled_at
         self._case.delays.add(delay)
-        self._recent.append(mark)
         unstamped_ns = self._case.unstamped_ns(delay)
-        if self.doubt.open:
+        certain = not self.doubt.open
+        if not certain:
             self.doubt.rows.append((mark.sequence, reading.received_at, error_ns + unstamped_ns))
-            return Sample(mark.sequence, reading, sampled_at, self.doubtful_error_ns, False)
-        if match_ns < lateness and self._half < error_ns and not self._echoes_late:  # one SYNC, not the run's
-            return Sample(mark.sequence, reading, sampled_at, self.doubtful_error_ns, False)
-        health.judge(delay, self._transit, error_ns, unstamped_ns)
-        return Sample(mark.sequence, reading, sampled_at, error_ns + unstamped_ns, True)
+        elif match_ns < lateness and self._half < error_ns and not self._echoes_late:
+            certain = False  # one SYNC, not the run's
+        else:
+            health.judge(delay, self._transit, error_ns, unstamped_ns)
+        error_ns = error_ns + unstamped_ns if certain else self.doubtful_error_ns
+        sample = Sample(mark.sequence, reading, sampled_at, error_ns, certain)
+        self._recent.append(sample)
+        return sample
+
+    def _tells_again(self, reading: Reading) -> bool:
+        """Whether one whose stamp is known may be a copy: a clock that is set back makes its stamps again."""
+        for sample in self._recent:
+            if sample.reading.device_time_ns == reading.device_time_ns:
+                return sample.reading.velocity_rad_s == reading.velocity_rad_s
+        return True
 
     def changed_at(self, device_ns: int) -> tuple[Instant, Duration]:
         """When a demand with this stamp changed, and by how much that may be off, a delay that all SYNCs have
@@ -212,7 +216,7 @@ class StampAttribution:
     def _clear(self, all_proved: bool) -> None:
         """A question is answered, and it has left no reading uncertain but by a doubt that goes on."""
         self.doubt.proved = self.doubt.proved and all_proved
-        self.question.cleared = all_proved and not self.doubt.open
+        self.question.cleared = self.doubt.proved and not self.doubt.open
 
     def _exonerate(self, placed: list[tuple[Suspect, SyncMark]]) -> bool:
         """Suspects that lie where they were placed, alone there, are certain after all; whether all do."""
@@ -253,14 +257,15 @@ class StampAttribution:
         self.question.since = None
 
     def _suspect(
-        self, reading: Reading, device_ns: int, free: SyncMark | None, at: Instant, second: bool
+        self, reading: Reading, device_ns: int, free: SyncMark | None, at: Instant, known: int | None
     ) -> Sample | None:
-        """A reading that puts the question, or came while it is open; ``free``: the SYNC it lies on."""
+        """A reading that puts the question, or comes while it is open, on a SYNC that is ``free`` or not."""
         suspects = self._suspects
-        if any(known.device_ns == device_ns for known in suspects):
+        if any(suspect.device_ns == device_ns for suspect in suspects):
             self.health.duplicates += 1
             return None
         if not suspects:
+            self.doubt.proved = self.doubt.proved or not self.doubt.open
             self._case.since = self._case.answered
             if self.spread:
                 self._revoke()
@@ -268,7 +273,7 @@ class StampAttribution:
         if self._echoes_late:  # the map lies in the middle of what it may be off
             reach_ns = self.stamps.match_ns + self._residuals.high
         early = at > reading.received_at - self._transit + reach_ns
-        suspects.append(Suspect(device_ns, reading.received_at, second, early))
+        suspects.append(Suspect(device_ns, reading.received_at, known, early))
         if free is not None:
             self._slowest = max(self._slowest, reading.received_at - at)
         self.question.open = True
@@ -280,9 +285,9 @@ class StampAttribution:
 
     def _revoke(self) -> None:
         """The last placements may have been wrong already: their SYNCs are free again."""
-        for mark in self._recent:
-            stamp = self._case.stamps.pop(mark.number, None)
-            if stamp is not None:
+        for sample in self._recent:
+            mark = self._syncs.last_of(sample.sequence)
+            if mark is not None and (stamp := self._case.stamps.pop(mark.number, None)) is not None:
                 self._case.revoked.append((mark, stamp))
                 self.question.doubt(mark.sequence, self.doubtful_error_ns)
         if self._recent:
@@ -304,7 +309,7 @@ class StampAttribution:
 
     def _settle(self) -> None:
         """Close the question if the last suspects leave one answer."""
-        agreeing = AGREEING_SPREAD if self.spread else AGREEING
+        agreeing = self._case.agreeing
         count = len(self._suspects)
         if count < agreeing or (count - agreeing) % (AGREEING // 2):
             return
@@ -343,8 +348,7 @@ class StampAttribution:
             self._case.delays = DelayExtremes()
         all_proved = self._exonerate(self._case.alike(placed) if steps else placed)
         self._clear(all_proved and not (steps and self._case.revoked))
-        end = self._close if steps else self._acquit
-        end()
+        (self._close if steps else self._acquit)()
         self._case.twice = 0
         for suspect, mark in placed:
             self._case.answer(mark, suspect.device_ns)

@@ -186,8 +186,9 @@ class UsualDelays:
             self._set_limits()
 
     def saw(self, delay: int) -> bool:
-        """Whether it is no longer than others, nor shorter."""
-        return self.low <= delay <= self.high
+        """Whether it is no longer than others, nor shorter, but for stuff bits and chance."""
+        beyond = max(self._stuffing, SLACKS * self.spread // max(1, len(self._kept)))
+        return self.low - beyond <= delay <= self.high + beyond
 
     def holds(self, delay: int) -> bool:
         """Whether a delay is usual."""

@@ -172,6 +172,19 @@ def test_readings_of_a_phase_that_is_not_known_may_be_those_of_later_syncs(
     assert verdict.readings.uncertain < unsure
 
 
+@pytest.mark.parametrize(
+    ("seed", "cycles", "unsure"),
+    [(450077, 420, 300), (420123, 700, 40), (420125, 800, 60), (440012, 1500, 300)],
+)
+def test_a_clock_that_is_set_back_makes_a_second_stamp_of_a_sync(seed: int, cycles: int, unsure: int) -> None:
+    """So it did not run on: a delay that had grown by a period was believed, 12 rows; or the stamps, which
+    were those of before, for copies, 648 of 700 rows in doubt. Each further step doubled how far stamps were
+    taken to reach, 816 of 1500. Delays over half a period, but below one, asked for 32 readings: 8 tell."""
+    verdict = judged(drawn_plan(seed), cycles)
+    assert verdict.wrong == {}, verdict.examples
+    assert verdict.readings.uncertain < unsure
+
+
 def test_a_line_through_readings_of_syncs_that_were_not_heard_is_one() -> None:
     """A clock set back by 5816 us: the right line met a SYNC of another that was lost on the way here, and
     six periods of delay were believed, at which each reading lay a fifth of a period off: 709 rows were late

@@ -47,10 +47,7 @@ class Case:
 
     def suspects(self, *numbers: int, step: int = 0, delay: int = DELAY, off: int = 0) -> list[Suspect]:
         """Readings of these SYNCs by a clock that was set by ``step``."""
-        return [
-            Suspect(self.at(number) + step + off, Instant(self.at(number) + delay), False)
-            for number in numbers
-        ]
+        return [Suspect(self.at(number) + step + off, Instant(self.at(number) + delay)) for number in numbers]
 
     def lines(self, suspects: list[Suspect]) -> dict[tuple[int, ...], tuple[int, int, bool]]:
         """By the SYNCs: cost, change of the smallest delay, and whether the clock was set."""
@@ -144,7 +141,7 @@ def test_syncs_that_are_not_at_equal_distances_tell_which_ones_they_are(
     ends = [case.at(number) + round(watermark_us * 1_000 * draw.random()) for number in range(10)]
     for number in range(1, 10):
         case.log.heard(number, Instant(ends[number]))
-    suspects = [Suspect(at // 1_000 * 1_000, Instant(at + DELAY), False) for at in ends[2:]]
+    suspects = [Suspect(at // 1_000 * 1_000, Instant(at + DELAY)) for at in ends[2:]]
     assert set(case.lines(suspects)) == lines
 
 
@@ -177,7 +174,7 @@ def test_a_drift_is_followed_from_suspect_to_suspect() -> None:
 def test_two_readings_lie_on_two_syncs_and_none_on_a_surplus_one() -> None:
     case = Case(3)
     case.case.since = 1
-    twice = [*case.suspects(2), Suspect(case.at(2) + 500, Instant(case.at(2) + DELAY + 9), False)]
+    twice = [*case.suspects(2), Suspect(case.at(2) + 500, Instant(case.at(2) + DELAY + 9))]
     assert case.lines(twice) == {}
     case.log.heard(SURPLUS, case.at(4))
     assert (3, 4) not in case.lines(case.suspects(3, 4))

@@ -2,9 +2,9 @@
 
 import pytest
 
+from servobench.hil.loop.clock_question import AGREEING
 from servobench.hil.loop.drive_stamps import MATCH_NS
 from servobench.hil.loop.samples import Sample
-from servobench.hil.loop.stamp_attribution import AGREEING
 from servobench.hil.loop.syncs import REMEMBERED
 from tests.unit.hil.loop_fakes import PERIOD, TRANSIT
 from tests.unit.hil.test_stamp_attribution import DELAY, FIRST, OFFSET, Rig
