@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import closing
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -24,10 +24,15 @@ from servobench.hil.terminal.output import note_seal, say, write_line
 from servobench.hil.terminal.supervision import is_read
 
 if TYPE_CHECKING:
+    from servobench.hil.reviewing.trace.frame_columns import FrameColumns
     from servobench.hil.reviewing.trace.log_frame import LogFrame
     from servobench.hil.reviewing.trace.node_objects import SheetFile
     from servobench.hil.reviewing.trace.run_trace import RecordedBus
     from servobench.hil.reviewing.trace.trace_entry import TraceEntry, TraceSelection
+
+
+_SHORT_S: Final = 0.5
+"""Of a window: a thousand frames of a busy bus, for which the reader by columns is not loaded."""
 
 
 def trace(
@@ -87,11 +92,14 @@ def _read(
 ) -> None:  # fmt: skip
     from servobench.hil.reviewing.trace.bus_log import KINDS, BusLog
     from servobench.hil.reviewing.trace.decoder import decode
-    from servobench.hil.reviewing.trace.frame_columns import EVER_NS
+    from servobench.hil.reviewing.trace.frame_columns import EVER_NS, FrameColumns
     from servobench.hil.reviewing.trace.node_objects import KnownNodes
 
     if source.is_dir():
         run, frames, end_ns = _recorded(source, selection, unsealed)
+        if isinstance(run.log, FrameColumns) and _is_long(selection):
+            _print_columns(run, run.log, sheets, selection, as_json)
+            return
         notes, zero_ns, known = run.log.notes, run.zero_ns, run.known(sheets)
         for note in run.notes:
             say(f"hil: note: {note}")
@@ -107,6 +115,39 @@ def _read(
         _print(selection, entries, zero_ns or 0, as_json)
     for note in notes():
         say(f"hil: note: {source}: {note}")
+
+
+def _is_long(selection: "TraceSelection") -> bool:
+    """Return True if the window has so many frames that they are sooner read by columns."""
+    if selection.from_s is None or selection.to_s is None:
+        return True
+    return selection.to_s - selection.from_s > _SHORT_S
+
+
+def _print_columns(
+    run: "RecordedBus",
+    log: "FrameColumns",
+    sheets: "list[SheetFile]",
+    selection: "TraceSelection",
+    as_json: bool,
+) -> None:
+    from servobench.hil.reviewing.trace.trace_lines import TraceLines
+
+    known = run.known(sheets)
+    for note in run.notes:
+        say(f"hil: note: {note}")
+    zero_ns = run.zero_ns
+    if zero_ns is None:
+        zero_ns = next((int(frames["at"][0]) for frames, _ in log.parts() if frames.size), 0)
+
+    def told(entry: "TraceEntry") -> str:
+        return json.dumps(entry.as_json(zero_ns)) if as_json else line_of(entry, zero_ns)
+
+    for lines in TraceLines(known, selection, zero_ns, told, as_json).of(log):
+        sys.stdout.write(lines)
+        if not is_read():
+            return
+    sys.stdout.flush()
 
 
 def _recorded(

@@ -246,6 +246,14 @@ class BusDecoder:
             layout = self._pdos.layout(can_id, self._nodes) or layout
         return layout
 
+    def makes_known(self, can_id: int) -> bool:
+        """Return True if a frame with this identifier may make a node known."""
+        node, service = can_id & NODE_BITS, can_id & ~NODE_BITS
+        if node and service in (ERROR_CONTROL, EMERGENCY):
+            return node not in self._nodes
+        layout = self._pdos.layout(can_id, self._nodes)
+        return layout is not None and layout.node not in self._nodes
+
     def objects(self, node: int) -> NodeObjects:
         """Return what is known of a node's objects."""
         objects = self._nodes.get(node)

@@ -57,16 +57,16 @@ class FrameColumns:
         """Read so far."""
 
     def __iter__(self) -> Iterator[LogFrame]:
-        for frames, numbers in self._parts():
+        for frames, numbers in self.parts():
             self.frames += frames.size
-            yield from self._log_frames(frames, numbers)
+            yield from self.log_frames(frames, numbers)
 
     def notes(self) -> list[str]:
         """Return remarks on the log for the reader of the frames: none."""
         return []
 
-    def _parts(self) -> Iterator[tuple[NDArray[np.void], NDArray[np.int64]]]:
-        """Yield frames, (n,), with their numbers, (n,)."""
+    def parts(self) -> Iterator[tuple[NDArray[np.void], NDArray[np.int64]]]:
+        """Yield frames, (n,) of FRAME_DTYPE, with their numbers, (n,)."""
         if self._window is not None:
             yield from self._of_window(self._window)
             return
@@ -137,8 +137,13 @@ class FrameColumns:
         parts.insert(0, index)
         return np.concatenate([np.empty(0, INDEX_DTYPE), *parts])
 
-    def _log_frames(self, frames: NDArray[np.void], numbers: NDArray[np.int64]) -> Iterator[LogFrame]:
-        names, data = self.interfaces, np.ascontiguousarray(frames["data"]).tobytes()
+    def name_of(self, segment: int) -> str:
+        """Return the name of an interface."""
+        return self.interfaces[segment] if segment < len(self.interfaces) else str(segment)
+
+    def log_frames(self, frames: NDArray[np.void], numbers: NDArray[np.int64]) -> Iterator[LogFrame]:
+        """Yield (n,) of FRAME_DTYPE with their numbers, (n,), one by one."""
+        data = np.ascontiguousarray(frames["data"]).tobytes()
         columns = (numbers, frames["at"], frames["can_id"], frames["sent"], frames["length"])
         for place, (number, at_ns, flagged, sent, length) in enumerate(
             zip(*(column.tolist() for column in columns), strict=True)
@@ -147,7 +152,7 @@ class FrameColumns:
             yield LogFrame(
                 number,
                 at_ns,
-                names[segment] if segment < len(names) else str(segment),
+                self.name_of(segment),
                 flagged & EXTENDED_ID_MAX,
                 b"" if remote else data[place * 8 : place * 8 + length],
                 bool(flagged & EXTENDED_FLAG) and not error,

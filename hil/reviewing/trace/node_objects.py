@@ -52,6 +52,10 @@ _FIXED: Final = {
 _RATED_UNIT_NM: Final = 1e-3
 """Unit of 6076h by the standard; makers have others."""
 _MODES: Final = frozenset({Object.MODES_OF_OPERATION, Object.MODES_OF_OPERATION_DISPLAY})
+_WORDED: Final = _MODES | {
+    Object.STATUSWORD, Object.CONTROLWORD, Object.ERROR_CODE, Cia301.ERROR_REGISTER, Cia301.ERROR_HISTORY
+}  # fmt: skip
+"""Objects of which :meth:`NodeObjects.number` tells the meaning."""
 _UNSURE_VELOCITY: Final = "position unit per second"
 """How the scaling's source begins where the drive has no velocity unit, or was not asked for it."""
 _TITLES: Final = {int(entry): entry.title for entry in (*Cia301, *Object)}
@@ -187,6 +191,11 @@ class NodeObjects:
         if isinstance(entry, ODVariable):
             return entry if sub == 0 else None
         return entry.subindices.get(sub)
+
+    @staticmethod
+    def has_words(index: int) -> bool:
+        """Return True if numbers of an object have a meaning in words."""
+        return index in _WORDED
 
     def _words(self, index: int, sub: int, raw: int) -> str:
         if index == Object.STATUSWORD:
