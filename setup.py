@@ -47,7 +47,7 @@ GROUPS = {
         *_below(
             "drivers/cia402", "command_watch drive_watch follow_watch readings servo setpoint supervision"
         ),
-        *_below("drivers/wire", "frame_port link message_port"),
+        *_below("drivers/wire", "frame_port message_port"),
     ],
     "loop": [
         *_below("hil/control", "compensation controllers fused hinf load_filter motion positions predictor"),

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Final
 
 SHARED: Final = Path(__file__).resolve().parent
-ROOMS: Final = ("design", "virtual_bus", "hil")
+ROOMS: Final = ("design", "drivers", "virtual_bus", "hil")
 LIBRARY: Final = "native.abi3.so"
 FLAGS: Final = (
     "-std=c17",

@@ -62,9 +62,12 @@ typedef struct PyType_Slot {
 #define Py_tp_clear 51
 #define Py_tp_dealloc 52
 #define Py_tp_doc 56
+#define Py_tp_hash 59
 #define Py_tp_init 60
 #define Py_tp_methods 64
 #define Py_tp_new 65
+#define Py_tp_repr 66
+#define Py_tp_richcompare 67
 #define Py_tp_traverse 71
 #define Py_tp_members 72
 #define Py_tp_getset 73
@@ -103,8 +106,12 @@ typedef struct PyModuleDef {
 
 extern PyObject *PyExc_TypeError, *PyExc_ValueError, *PyExc_AttributeError, *PyExc_OSError;
 extern PyObject *PyExc_NotImplementedError;
-extern PyObject _Py_NoneStruct;
+extern PyObject *PyExc_RuntimeError;
+extern PyObject _Py_NoneStruct, _Py_NotImplementedStruct;
 #define Py_None (&_Py_NoneStruct)
+#define Py_NotImplemented (&_Py_NotImplementedStruct)
+#define Py_EQ 2
+#define Py_NE 3
 
 PyObject *PyModule_Create2(PyModuleDef *, int);
 int PyModule_AddObjectRef(PyObject *, const char *, PyObject *);
@@ -128,6 +135,17 @@ PyObject *PyErr_SetFromErrno(PyObject *);
 void PyErr_SetObject(PyObject *, PyObject *);
 void PyErr_Fetch(PyObject **, PyObject **, PyObject **);
 void PyErr_Restore(PyObject *, PyObject *, PyObject *);
+int PyErr_GivenExceptionMatches(PyObject *, PyObject *);
+void PyErr_NormalizeException(PyObject **, PyObject **, PyObject **);
+int PyException_SetTraceback(PyObject *, PyObject *);
+int PyArg_ParseTupleAndKeywords(PyObject *, PyObject *, const char *, char **, ...);
+PyObject *PyCapsule_New(void *, const char *, void (*)(PyObject *));
+void *PyCapsule_GetPointer(PyObject *, const char *);
+PyObject *PyImport_ImportModule(const char *);
+PyObject *PyObject_GetAttrString(PyObject *, const char *);
+int PyObject_SetAttrString(PyObject *, const char *, PyObject *);
+int PyObject_RichCompareBool(PyObject *, PyObject *, int);
+Py_ssize_t PyObject_Hash(PyObject *);
 double PyFloat_AsDouble(PyObject *);
 PyObject *PyFloat_FromDouble(double);
 long PyLong_AsLong(PyObject *);
@@ -148,7 +166,9 @@ int PyList_Append(PyObject *, PyObject *);
 PyObject *PyList_GetItem(PyObject *, Py_ssize_t);
 Py_ssize_t PyList_Size(PyObject *);
 PyObject *PyDict_GetItemWithError(PyObject *, PyObject *);
-extern PyTypeObject PyDict_Type, PyList_Type, PyTuple_Type;
+extern PyTypeObject PyBytes_Type, PyCFunction_Type, PyDict_Type, PyList_Type, PyTuple_Type;
+PyCFunction PyCFunction_GetFunction(PyObject *);
+PyObject *PyCFunction_GetSelf(PyObject *);
 PyObject *PySequence_Tuple(PyObject *);
 Py_ssize_t PyObject_Size(PyObject *);
 PyObject *PyObject_GetAttr(PyObject *, PyObject *);
@@ -156,6 +176,7 @@ PyObject *PyObject_GetAttr(PyObject *, PyObject *);
 PyObject *PyObject_Vectorcall(PyObject *, PyObject *const *, size_t, PyObject *);
 PyObject *PyObject_VectorcallMethod(PyObject *, PyObject *const *, size_t, PyObject *);
 #define PY_VECTORCALL_ARGUMENTS_OFFSET ((size_t)1 << (8 * sizeof(size_t) - 1))
+PyObject *PyUnicode_FromFormat(const char *, ...);
 PyObject *PyUnicode_FromString(const char *);
 PyObject *PyUnicode_InternFromString(const char *);
 void *PyEval_SaveThread(void);

@@ -1,11 +1,13 @@
-"""The master's inner loop: hands frames from the link to their handlers, and does housekeeping when due."""
+"""The master's inner loop: hands frames from the link to their handlers, and does housekeeping when due
+(core/pump_type.c)."""
 
 from collections.abc import Callable
 from functools import partial
 
 from servobench.drivers.canopen.cob_ids import SYNC
+from servobench.drivers.core.native import Pump
 from servobench.drivers.exchange import Master
-from servobench.drivers.timebase import NEVER, Clock, Instant
+from servobench.drivers.timebase import Clock, Instant
 from servobench.drivers.wire.link import BusLink
 
 Handler = Callable[[bytes, Instant], None]
@@ -45,16 +47,24 @@ class FramePump(Master):
         """Handlers of our own frames once they were on the bus, by identifier."""
         self.unsent_handlers: dict[int, Callable[[Instant], None]] = {SYNC: self._on_sync_unsent}
         """Handlers of our own frames that were never sent, by identifier: the instant of the hand-over."""
-        self.housekeeping_at: Instant = NEVER
         self._link = link
-        self._now = clock.now
-        self._sleep_until = clock.sleep_until
         self._others = others
-        self._keep_house = keep_house
+        self._pump = Pump(
+            link, self.handlers, self.echo_handlers, others, keep_house, clock.now, clock.sleep_until
+        )
         link.on_unsent = self._on_unsent
         link.on_unheard = self._on_unheard
         self._listeners: dict[int, Handler] = {}
         self._overhearers: dict[int, Handler] = {}
+
+    @property
+    def housekeeping_at(self) -> Instant:
+        """When ``keep_house`` is called next."""
+        return self._pump.housekeeping_at
+
+    @housekeeping_at.setter
+    def housekeeping_at(self, at: Instant) -> None:
+        self._pump.housekeeping_at = at
 
     @property
     def attend_at(self) -> Instant:
@@ -88,47 +98,17 @@ class FramePump(Master):
 
         Frames already waiting are handled in either case.
         """
-        while self.pump_one(until):
-            pass
+        self._pump.pump(until)
 
     def pump_one(self, until: Instant) -> bool:
         """Handle the next frame and return True; False once ``until`` has come without one."""
-        link = self._link
-        while True:
-            due = self.housekeeping_at
-            if link.fetch(until if until < due else due):
-                at = link.last_at
-                if link.last_own:
-                    echo_handler = self.echo_handlers.get(link.last_id)
-                    if echo_handler is not None:
-                        echo_handler(link.last_data, at, link.last_handed_at)
-                else:
-                    handler = self.handlers.get(link.last_id)
-                    if handler is not None:
-                        handler(link.last_data, at)
-                    else:
-                        self._others(link.last_id, link.last_data, at)
-                if at >= self.housekeeping_at:
-                    self._keep_house(at)
-                return True
-            if due > until:
-                return False
-            now = self._now()
-            self._keep_house(now if now > due else due)
-            if self.housekeeping_at <= due:  # as where other code has taken its place
-                raise RuntimeError("housekeeping that was due has not been done")
+        return self._pump.pump_one(until)
 
     def rest(self, until: Instant) -> None:
         """Let time pass like :meth:`pump`, but leave frames in the bus's queue until ``until``, or until
         housekeeping is due: one wake-up instead of one per frame. The bus stamps them, so nothing is lost; on
         a bus that needs watching this is :meth:`pump`."""
-        if not self._link.needs_watching:
-            while self.housekeeping_at < until:
-                due = self.housekeeping_at
-                self._sleep_until(due)
-                self.pump(due)
-            self._sleep_until(until)
-        self.pump(until)
+        self._pump.rest(until)
 
     def _on_sync_echo(self, _data: bytes, at: Instant, handed_at: Instant) -> None:
         if self.on_sync_echo is not None:

@@ -11,7 +11,7 @@ from typing import Final, Literal, NamedTuple
 from can.typechecking import CanFilters
 from mypy_extensions import mypyc_attr
 
-from servobench.drivers.record import Record
+from servobench.drivers.core.native import WireFrame as WireFrame
 from servobench.drivers.timebase import Instant
 
 Direction = Literal["tx", "rx"]
@@ -21,36 +21,6 @@ Tap = Callable[[Direction, int, bytes, bool, bool, Instant], None]
 
 UNTOLD: Final = Instant(-1)
 """The instant of a hand-over is unknown."""
-
-
-@mypyc_attr(acyclic=True, free_list_len=1)
-class WireFrame(Record):
-    """A classical CAN data or remote frame."""
-
-    __match_args__ = ("can_id", "data", "extended", "remote", "remote_length")
-    __slots__ = (*__match_args__, "handed_at", "wire_id")
-
-    def __init__(
-        self,
-        can_id: int,
-        data: bytes = b"",
-        extended: bool = False,
-        remote: bool = False,
-        remote_length: int = 0,
-    ) -> None:
-        self.can_id: Final = can_id
-        """11 bits, or 29 if ``extended``."""
-        self.data: Final = data
-        """0..8 bytes; empty for a remote frame."""
-        self.extended: Final = extended
-        self.remote: Final = remote
-        self.remote_length: Final = remote_length
-        """DLC of a remote frame; not used for a data frame."""
-        self.wire_id: Final = can_id << 2 | remote << 1 | extended
-        """Identifier and format as one number: the simulated bus reads it at once."""
-        self.handed_at = UNTOLD
-        """When its sender handed it over, if noted. The echo on a simulated bus or a hub carries it, and so
-        identifies its frame. Never on the wire, and not compared."""
 
 
 def accepts(filters: CanFilters, frame: WireFrame) -> bool:
@@ -92,6 +62,10 @@ class Trouble(NamedTuple):
 class FramePort:
     """The ``frame_port`` of a bus. Override both methods."""
 
+    native: object | None = None
+    """The same in C (design/core/frames.h), which a link then calls in the place of both: a port that needs
+    no watching and has no troubles."""
+
     def __init__(self) -> None:
         self.came_at = Instant(0)
         """Stamp of the last frame received."""
@@ -120,6 +94,9 @@ class FramePort:
 @mypyc_attr(allow_interpreted_subclasses=True)
 class FrameTap:
     """Sees every frame of a link. This one ignores all."""
+
+    native: object | None = None
+    """The same in C (design/core/frames.h), which a link then calls in its place."""
 
     def frame(
         self, direction: str, can_id: int, data: bytes, extended: bool, remote: bool, at: Instant

@@ -5,12 +5,12 @@ from typing import Final, NoReturn
 
 import can
 
+from servobench.drivers.core.native import Link
 from servobench.drivers.errors import BusDown
 from servobench.drivers.timebase import NEVER, Clock, Duration, Instant
-from servobench.drivers.wire.frame_port import UNTOLD, CallbackTap, EchoBasis, FramePort, FrameTap, WireFrame
+from servobench.drivers.wire.frame_port import CallbackTap, EchoBasis, FramePort, FrameTap, WireFrame
 from servobench.drivers.wire.frame_port import Direction as Direction
 from servobench.drivers.wire.frame_port import Tap as Tap
-from servobench.drivers.wire.identifiers import ERROR_FLAG
 from servobench.drivers.wire.message_port import MessagePort
 from servobench.drivers.wire.message_port import StampSource as StampSource
 from servobench.drivers.wire.send_queue import NO_ROOM, RETRY_EVERY, SendQueue
@@ -20,7 +20,7 @@ Received = tuple[int, bytes, Instant]
 _STUCK: Final = "it has taken no frame for a second: its queue is full as nobody acknowledges, or it is down"
 
 
-class BusLink:
+class BusLink(Link):
     """The one place through which a master's frames leave and arrive.
 
     Only data frames with an 11-bit identifier are handed on: CANopen uses no others. Remote frames and
@@ -30,7 +30,8 @@ class BusLink:
     no tap and are not counted as received.
 
     A frame that the bus has no room for waits here (:mod:`servobench.drivers.wire.send_queue`) and goes out
-    while somebody receives. The tap sees it when the bus takes it.
+    while somebody receives. The tap sees it when the bus takes it. What is done for each frame is C
+    (core/link.c).
     """
 
     def __init__(
@@ -40,19 +41,6 @@ class BusLink:
         self.bus = bus
         self.name = name or str(getattr(bus, "channel_info", "") or type(bus).__name__)
         """The bus's name in errors."""
-        self.sent_frames = 0
-        self.received_frames = 0
-        self.echoed_frames = 0
-        self.ignored_frames = 0
-        self.error_frames = 0
-        self.last_id = 0
-        """Identifier of the last frame fetched; ``last_data`` and ``last_at`` belong to it too."""
-        self.last_data = b""
-        self.last_at = Instant(0)
-        self.last_own = False
-        """True if it is an echo."""
-        self.last_handed_at = UNTOLD
-        """If it is an echo: when the frame was handed over, where the bus reports that."""
         self.on_unsent: Callable[[int, Instant], None] | None = None
         """Called for a frame that was never sent because a newer one took its place: identifier, and the
         instant returned by :meth:`send`."""
@@ -68,9 +56,9 @@ class BusLink:
         """Latest instant for the next receive, as frames wait here."""
         self._waiting: SendQueue | None = None
         self._now = clock.now
-        self._taps: list[FrameTap] = []
         port: FramePort | None = getattr(bus, "frame_port", None)
         self._port = MessagePort(bus, clock, stamps) if port is None else port
+        self.use(self._port, clock.now, (can.CanError, OSError))
 
     @property
     def echoes(self) -> EchoBasis:
@@ -82,14 +70,9 @@ class BusLink:
         """The cure for the adapter's present state, if known; empty while it is sound."""
         return self._port.cure
 
-    @property
-    def needs_watching(self) -> bool:
-        """True if somebody must receive while time passes, or frames are stamped or sent late."""
-        return self._port.needs_watching or self._waiting is not None
-
     def tap(self, tap: Tap | FrameTap) -> None:
         """Have ``tap`` see every frame from now on."""
-        self._taps.append(tap if isinstance(tap, FrameTap) else CallbackTap(tap))
+        self.show(tap if isinstance(tap, FrameTap) else CallbackTap(tap))
 
     def recv(self, until: Instant) -> Received | None:
         """Return the next data frame of another node, or None once ``until`` has come and nothing is waiting.
@@ -101,50 +84,9 @@ class BusLink:
                 return (self.last_id, self.last_data, self.last_at)
         return None
 
-    def fetch(self, until: Instant) -> bool:
-        """Fetch a data frame or an echo by ``until`` into ``last_id``, ``last_data``, ``last_at`` and
-        ``last_own``; False if none came. Lets time pass. Raises BusDown if the bus is gone."""
-        port = self._port
-        while True:
-            wait = until if self._waiting is None else self._send_waiting(until)
-            try:
-                item = port.receive(wait)
-            except (can.CanError, OSError) as error:
-                self._fail("receive from", error)
-            if port.troubles:
-                self._tell_troubles()
-            if item is None:
-                if wait < until:
-                    continue
-                return False
-            can_id = item.can_id
-            if can_id >= ERROR_FLAG:
-                self.error_frames += 1
-                continue
-            data, extended, remote = item.data, item.extended, item.remote
-            at, own = port.came_at, port.came_own
-            if own:
-                self.echoed_frames += 1
-            else:
-                self.received_frames += 1
-                for tap in self._taps:
-                    tap.frame("rx", can_id, data, extended, remote, at)
-            if not (extended or remote):
-                self.last_id, self.last_data, self.last_at, self.last_own = can_id, data, at, own
-                self.last_handed_at = item.handed_at
-                return True
-            self.ignored_frames += 1
-
-    def send(self, can_id: int, data: bytes) -> Instant:
-        """Queue a frame; returns the instant just before the bus was offered it.
-
-        Raises BusDown if the bus is gone, or has taken nothing for a second.
-        """
-        return self._hand_over(WireFrame(can_id, data))
-
     def request(self, can_id: int, length: int) -> Instant:
         """Queue a remote frame that requests ``length`` bytes; otherwise like :meth:`send`."""
-        return self._hand_over(WireFrame(can_id, b"", False, True, length))
+        return self.hand_over(WireFrame(can_id, b"", False, True, length))
 
     def withdraw(self, can_ids: Container[int]) -> None:
         """Discard the PDOs and SYNCs of ``can_ids`` that wait here: they are never sent."""
@@ -152,32 +94,22 @@ class BusLink:
             for frame in self._waiting.withdraw(can_ids):
                 self._give_up(frame)
 
-    def _hand_over(self, frame: WireFrame) -> Instant:
-        frame.handed_at = at = self._now()
-        if self._waiting is not None:
-            self._send_waiting(at)
-        if self._waiting is not None or not self._takes(frame, at):
-            self._let_wait(frame, at)
-        return at
+    def receiving_failed(self, error: Exception) -> NoReturn:
+        """See :class:`servobench.drivers.core.native.Link`, as of the methods below."""
+        self._fail("receive from", error)
 
-    def _takes(self, frame: WireFrame, at: Instant) -> bool:
-        """Offer ``frame`` to the bus at ``at``; False if it has no room for it now."""
-        try:
-            self._port.transmit(frame)
-        except (can.CanError, OSError) as error:
-            if _code(error) not in NO_ROOM:
-                self._fail("send on", error)
-            if self._waiting is None:
-                self._tell(f"takes no frames: {error}", at)
-            return False
-        self.sent_frames += 1
-        for tap in self._taps:
-            tap.frame("tx", frame.can_id, frame.data, False, frame.remote, at)
-        return True
+    def transmitting_failed(self, error: Exception, at: Instant) -> None:
+        """The frame is to wait if the bus has only no room."""
+        if _code(error) not in NO_ROOM:
+            self._fail("send on", error)
+        if self._waiting is None:
+            self._tell(f"takes no frames: {error}", at)
 
-    def _let_wait(self, frame: WireFrame, at: Instant) -> None:
+    def let_wait(self, frame: WireFrame, at: Instant) -> None:
+        """Until the bus has room."""
         if self._waiting is None:
             self._waiting, self.retry_at = SendQueue(), Instant(at + RETRY_EVERY)
+            self.waits = True
         try:
             older = self._waiting.put(frame, at)
         except can.CanOperationError as error:
@@ -194,13 +126,14 @@ class BusLink:
         patience = self.patience.get(frame.can_id)
         return patience is not None and now - frame.handed_at > patience
 
-    def _send_waiting(self, until: Instant) -> Instant:
+    def send_waiting(self, until: Instant) -> Instant:
         """Hand over what the bus takes now; return when to look again, ``until`` at the latest."""
         waiting, now, took = self._waiting, self._now(), False
         while waiting is not None:
             frame = waiting.first()
             if frame is None:
                 self._waiting, self.retry_at = None, NEVER
+                self.waits = False
                 now_so = "takes frames again" if took else "is offered no more frames"
                 self._tell(f"{now_so}; {waiting.given_up} were given up meanwhile", now)
                 break
@@ -208,7 +141,7 @@ class BusLink:
                 waiting.drop()
                 self._give_up(frame)
                 continue
-            if not self._takes(frame, now):
+            if not self.offer(frame, now):
                 if waiting.stuck(now):
                     self._fail("send on", can.CanOperationError(_STUCK))
                 self.retry_at = waiting.retry_at(now)
@@ -217,7 +150,8 @@ class BusLink:
             took = True
         return until
 
-    def _tell_troubles(self) -> None:
+    def tell_troubles(self) -> None:
+        """Those of the port."""
         troubles = self._port.troubles
         for trouble in troubles:
             self._tell(trouble.text, trouble.at)

@@ -1,5 +1,5 @@
 /* The module servobench.hil.core.native; native.pyi says what it holds. */
-#include "objects.h"
+#include "frames.h"
 #include "types.h"
 
 static PyMethodDef functions[] = {
@@ -14,17 +14,22 @@ static PyModuleDef definition = {
     .methods = functions,
 };
 
-static bool add_type(PyObject *module, const char *name, PyType_Spec *spec)
+/* `*place` is the type, with a reference as long as the process is there. */
+static bool add_type(PyObject *module, const char *name, PyType_Spec *spec, PyTypeObject **place)
 {
-    PyObject *type = PyType_FromSpec(spec);
-    bool well = type != NULL && PyModule_AddObjectRef(module, name, type) == 0;
-    forget(&type);
-    return well;
+    *place = (PyTypeObject *)PyType_FromSpec(spec);
+    return *place != NULL && PyModule_AddObjectRef(module, name, (PyObject *)*place) == 0;
 }
+
+PyTypeObject *frame_type;
 
 static bool fill(PyObject *module)
 {
-    return add_type(module, "Ring", &ring_spec) && add_type(module, "RegularStream", &regular_stream_spec)
+    PyTypeObject *stream_type, *sink_type;
+    frame_type = find_frame_type();
+    return frame_type != NULL && add_type(module, "Ring", &ring_spec, &ring_type)
+           && add_type(module, "FrameSink", &sink_spec, &sink_type)
+           && add_type(module, "RegularStream", &regular_stream_spec, &stream_type)
            && PyModule_AddStringConstant(module, "SOURCES_DIGEST", SOURCES_DIGEST) == 0;
 }
 

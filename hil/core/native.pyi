@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Self
 
+from servobench.drivers.core.native import WireFrame
 from servobench.drivers.timebase import Instant
 from servobench.hil.loop.syncs import SyncMark
 
@@ -26,9 +27,6 @@ class Ring:
     def push(self, row: bytes, /) -> bool:
         """Store one row; False: the ring is full, it is refused. Error: ValueError for another size."""
 
-    def push_frame(self, at: int, can_id: int, sent: int, data: bytes, /) -> bool:
-        """The same of :func:`frame_row`."""
-
     @property
     def refused(self) -> int:
         """Rows that found the ring full."""
@@ -39,6 +37,19 @@ class Ring:
 
     def close(self) -> None:
         """Give up the writer's hold; the reader keeps what is there."""
+
+class FrameSink:
+    """Frames of a link as rows of a ring (servobench.hil.rows.side_rows.FRAME)."""
+
+    def __new__(cls, ring: Ring | None, segment: int, /) -> Self:
+        """``ring``: None keeps nothing. ``segment``: its number. Error: ValueError above 127."""
+
+    @property
+    def way(self) -> object:
+        """A capsule by which a link shows its frames (design/core/frames.h)."""
+
+    def show(self, frame: WireFrame, sent: bool, at: Instant, /) -> None:
+        """The same from Python."""
 
 class RegularStream:
     """A regular stream of frames: their places are ``step`` apart, within ``tolerance``."""

@@ -12,6 +12,8 @@ typedef struct RingObject {
     Ring ring;
 } RingObject;
 
+PyTypeObject *ring_type;
+
 static Ring *ring_of(PyObject *self) { return &((RingObject *)self)->ring; }
 
 static PyObject *make(PyTypeObject *type, PyObject *arguments, PyObject *names)
@@ -129,23 +131,21 @@ static bool read_frame(PyObject *const *arguments, RawFrame *frame)
     return true;
 }
 
-static PyObject *call_push_frame(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
+/* 1: stored, 0: refused, -1: an error. */
+int push_raw_frame(PyObject *self, const RawFrame *frame)
 {
     Ring *ring = ring_of(self);
-    RawFrame frame;
-    if (!takes(count, 4, "push_frame") || !read_frame(arguments, &frame))
-        return NULL;
-    if (ring->row_bytes != FRAME_ROW_BYTES)
-        return PyErr_Format(PyExc_ValueError, "rows of %lld octets: those of frames, of %d, expected",
-                            (long long)ring->row_bytes, FRAME_ROW_BYTES);
+    if (ring->row_bytes != FRAME_ROW_BYTES) {
+        PyErr_Format(PyExc_ValueError, "rows of %lld octets: those of frames, of %d, expected",
+                     (long long)ring->row_bytes, FRAME_ROW_BYTES);
+        return -1;
+    }
     int room = make_room(self);
-    if (room < 0)
-        return NULL;
-    if (room) {
-        pack_frame(&frame, next_row(ring));
+    if (room > 0) {
+        pack_frame(frame, next_row(ring));
         publish_row(ring);
     }
-    return PyBool_FromLong(room);
+    return room;
 }
 
 PyObject *call_frame_row(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
@@ -185,7 +185,6 @@ static PyObject *get_taken(PyObject *self, void *closure)
 
 static PyMethodDef methods[] = {
     {"push", call_push, METH_O, NULL},
-    {"push_frame", (PyCFunction)(void (*)(void))call_push_frame, METH_FASTCALL, NULL},
     {"close", call_close, METH_NOARGS, NULL},
     {0},
 };

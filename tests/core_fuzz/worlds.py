@@ -17,8 +17,9 @@ from servobench.design.core import native
 from servobench.design.mechanism import CoggingHarmonic, Coupling, Friction, Mechanism, Side
 from servobench.design.motor import PmsmParameters
 from servobench.design.statespace import StateSpace
+from servobench.drivers.core.native import Link, Pump, WireFrame
 from servobench.drivers.timebase import NS_PER_MS, Instant
-from servobench.hil.core.native import RegularStream, Ring, frame_row
+from servobench.hil.core.native import FrameSink, RegularStream, Ring, frame_row
 from servobench.hil.recording.ring import RingReader, RingWriter
 from servobench.hil.rows.side_rows import FRAME
 from servobench.virtual_bus.bus.host_port import HostPort
@@ -51,6 +52,7 @@ from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, 
 from servobench.virtual_bus.drive.load_table import LoadTable
 from servobench.virtual_bus.frame import Frame
 from tests.core_fuzz.fates import ODD, Refused, drawn_judge, odd_number
+from tests.core_fuzz.links import links
 from tests.core_fuzz.pdos import pdos
 from tests.core_fuzz.streams import streams
 from tests.motors import AZAIZ, LING
@@ -73,7 +75,7 @@ ACTIONS: Final = 40
 CALLED: Final[tuple[Callable[..., Any], ...]] = (
     *(clipped, sine_cosine, user_position, wire_bits, native.random_runs, frame_row, RegularStream, Ring),
     *(BusLoad, HeldFrames, HostPlace, Port, Segment, SimulatedClock, Timeline, PdoCodec, UniformNumbers),
-    *(Strike, Hold, Queue, Route, EntryBlock, Fates),
+    *(Strike, Hold, Queue, Route, EntryBlock, Fates, WireFrame, Link, Pump, FrameSink),
 )
 """Functions and types of the cores."""
 
@@ -288,19 +290,24 @@ def ring(draw: random.Random) -> None:
 
     writer = RingWriter(rows, capacity, on_full)
     reader = RingReader(writer.descriptor, np.dtype(f"V{rows.size}"))
+    sink = FrameSink(writer, draw.randrange(128))
     for _ in range(300):
         try:
             if draw.random() < 0.5:
                 writer.push(draw.randbytes(rows.size))
             else:
-                writer.push_frame(
-                    draw.getrandbits(63), draw.getrandbits(33), draw.randrange(257), draw.randbytes(8)
-                )
+                can_id, data = draw.getrandbits(33), draw.randbytes(draw.randrange(10))
+                sink.show(Frame(can_id, data), draw.random() < 0.5, Instant(draw.getrandbits(63)))
             assert 0 <= writer.taken <= reader.released + capacity
         except (Refused, ValueError):
             continue
         assert len(reader.look()) <= capacity
     writer.close()
+
+
+def _pump(link: Link) -> Pump:
+    given: list[Any] = [{}, {}, *[lambda *_given: 0] * 4]
+    return Pump(link, *given)
 
 
 def misuse(draw: random.Random) -> None:
@@ -314,27 +321,17 @@ def misuse(draw: random.Random) -> None:
     ring = Ring(descriptor, FRAME.size, 4, bool)
     os.close(descriptor)
     faults = (
-        Strike("loss", (0, 9)),
-        Hold((0, 9), True),
-        Queue(),
-        Route(None, (), ()),
-        EntryBlock(),
-        Fates(None, 0, 0),
+        *(Strike("loss", (0, 9)), Hold((0, 9), True), Queue(), Route(None, (), ())),
+        *(EntryBlock(), Fates(None, 0, 0)),
     )
     stream = RegularStream(1, 0, 64, NS_PER_MS, False, False)
+    link = Link()
+    link.use(HostPort(CanSegment(timeline, 500_000), "host"), SimulatedClock(timeline).now, (OSError,))
+    pump = _pump(link)
     codec = PdoCodec([(None, 1 + number, number) for number in range(3)], draw.random() < 0.5)
     own = (
-        codec,
-        inner,
-        timeline,
-        segment,
-        held,
-        place,
-        port,
-        BusLoad(),
-        SimulatedClock(timeline),
-        ring,
-        stream,
+        *(codec, inner, timeline, segment, held, place, port, BusLoad(), SimulatedClock(timeline)),
+        *(ring, stream, link, pump, FrameSink(ring, 0)),
     )
     calls: list[Callable[..., Any]] = [
         getattr(each, name)
@@ -345,24 +342,8 @@ def misuse(draw: random.Random) -> None:
     table = pack("=3d", 0.0, 1.0, 2.0)
     for _ in range(100):
         call = draw.choice([*CALLED, *calls])
-        odd = [
-            *AWRY,
-            *ODD,
-            0,
-            1,
-            -1,
-            5,
-            table,
-            table[:8],
-            timeline,
-            segment,
-            port,
-            place,
-            Frame(1),
-            *faults,
-            lambda: table,
-            (0, 9),
-        ]
+        buses = (timeline, segment, port, place, Frame(1), link)
+        odd = [*AWRY, *ODD, 0, 1, -1, 5, table, table[:8], *buses, {}, *faults, lambda: table, (0, 9)]
         given = [draw.choice(odd) for _ in range(draw.randrange(9))]
         try:
             call(*given)
@@ -370,4 +351,4 @@ def misuse(draw: random.Random) -> None:
             continue
 
 
-WORLDS: Final = (frames, drive, random_runs, misuse, bus, ring, streams, pdos)
+WORLDS: Final = (frames, drive, random_runs, misuse, bus, ring, streams, pdos, links)

@@ -24,6 +24,7 @@ class HostPort(FramePort):
         self.timeline = segment.timeline
         self.received = HostPlace(segment.timeline)
         """Frames to be fetched."""
+        self.native = self.received
         self.held_in = self.received.held_in
         self.held_out = self.received.held_out
         self.port: Port = segment.attach(name, self.received)

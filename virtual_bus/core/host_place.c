@@ -9,6 +9,7 @@
 #include <assert.h>
 
 #include "objects.h"
+#include "types.h"
 
 /* False for an error; `kept` is false if there was no room. */
 bool hold_frame(HeldObject *self, PyObject *frame, int64_t release, int mark, bool *kept)
@@ -52,7 +53,7 @@ static int is_accepted(PlaceObject *self, PyObject *frame)
 /* Put a frame into the inbox, if a filter lets it through and there is room. */
 bool keep_frame(PlaceObject *self, PyObject *frame, int64_t at, bool own)
 {
-    int accepted = is_accepted(self, frame);
+    int accepted = is_a(frame, frame_type, "a WireFrame") ? is_accepted(self, frame) : -1;
     if (accepted <= 0)
         return accepted == 0;
     if (self->count >= RECEIVE_QUEUE_MAX) {

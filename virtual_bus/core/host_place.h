@@ -44,6 +44,7 @@ extern PyTypeObject *place_type, *held_type;
 
 bool hold_frame(HeldObject *self, PyObject *frame, int64_t release, int mark, bool *kept);
 bool hear_frame(PlaceObject *self, const WireFrame *frame, int64_t now);
+PlaceObject *place_told(PyObject *on_sent);
 bool keep_frame(PlaceObject *self, PyObject *frame, int64_t at, bool own);
 Arrival take_arrival(PlaceObject *self);
 bool transmit_frame(PlaceObject *self, const WireFrame *frame);

@@ -1,6 +1,7 @@
 /* Python's HostPlace (native.pyi). */
 #include <stddef.h>
 
+#include "frames.h"
 #include "host_place.h"
 #include "objects.h"
 #include "types.h"
@@ -102,54 +103,77 @@ static PyObject *call_put_before(PyObject *self, PyObject *const *arguments, Py_
 }
 
 /* By the method of a Python class on top of the timeline, where there is one: 1, 0, or -1 for an error. */
-static int pass_until_filled(PyObject *self, PyObject *instant)
+static int pass_until_filled(PyObject *self, int64_t until)
 {
     static PyObject *name;
     PlaceObject *place = place_of(self);
     PyObject *timeline = (PyObject *)place->timeline;
-    int64_t until;
     if (timeline->type == timeline_type)
-        return integer(instant, &until) ? run_until_filled(place->timeline, until, self) : -1;
+        return run_until_filled(place->timeline, until, self);
     if (name == NULL && (name = PyUnicode_InternFromString("run_until_filled")) == NULL)
         return -1;
-    PyObject *arguments[] = {timeline, instant, self};
-    PyObject *filled = PyObject_VectorcallMethod(name, arguments, 3, NULL);
+    PyObject *arguments[] = {timeline, PyLong_FromLongLong(until), self};
+    PyObject *filled = arguments[1] == NULL ? NULL : PyObject_VectorcallMethod(name, arguments, 3, NULL);
     int result = filled == NULL ? -1 : place->count > 0;
     forget(&filled);
+    forget(&arguments[1]);
     return result;
 }
 
-static PyObject *call_receive(PyObject *self, PyObject *until)
+/* Time passes no further than to the next frame, or to `until`. */
+static int receive(PyObject *self, int64_t until, Arrived *arrived)
 {
     PlaceObject *place = place_of(self);
     if (place->count == 0) {
         int filled = pass_until_filled(self, until);
         if (filled <= 0)
-            return filled < 0 ? NULL : nothing();
+            return filled;
     }
-    PyObject *received = PyTuple_New(3);
-    if (received == NULL)
-        return NULL;
     Arrival arrival = take_arrival(place);
-    PyTuple_SetItem(received, 0, arrival.frame);
-    PyObject *at = PyLong_FromLongLong(arrival.at);
-    PyTuple_SetItem(received, 1, at);
-    PyTuple_SetItem(received, 2, PyBool_FromLong(arrival.own));
-    if (at != NULL)
-        return received;
-    Py_DecRef(received);
-    return NULL;
+    *arrived = (Arrived){(FrameObject *)arrival.frame, arrival.at, arrival.own};
+    return 1;
 }
 
-static PyObject *call_transmit(PyObject *self, PyObject *object)
+static bool transmit(PyObject *self, FrameObject *object)
 {
     WireFrame frame;
     PlaceObject *place = place_of(self);
-    if (place->port == NULL) {
+    if (place->port == NULL)
         PyErr_Format(PyExc_ValueError, "transmit: no port was taken yet");
+    return place->port != NULL && read_frame((PyObject *)object, &frame) && transmit_frame(place, &frame);
+}
+
+static const PortWay way = {receive, transmit};
+
+static PyObject *get_way(PyObject *self, void *none)
+{
+    (void)self, (void)none;
+    return PyCapsule_New((void *)&way, PORT_WAY, NULL);
+}
+
+static PyObject *call_receive(PyObject *self, PyObject *until)
+{
+    int64_t until_ns;
+    Arrived arrived;
+    int came = integer(until, &until_ns) ? receive(self, until_ns, &arrived) : -1;
+    if (came <= 0)
+        return came < 0 ? NULL : nothing();
+    PyObject *received = PyTuple_New(3), *at = PyLong_FromLongLong(arrived.at);
+    if (received == NULL || at == NULL) {
+        Py_DecRef((PyObject *)arrived.frame);
+        forget(&received);
+        forget(&at);
         return NULL;
     }
-    return read_frame(object, &frame) && transmit_frame(place, &frame) ? nothing() : NULL;
+    PyTuple_SetItem(received, 0, (PyObject *)arrived.frame);
+    PyTuple_SetItem(received, 1, at);
+    PyTuple_SetItem(received, 2, PyBool_FromLong(arrived.own));
+    return received;
+}
+
+static PyObject *call_transmit(PyObject *self, PyObject *frame)
+{
+    return is_a(frame, frame_type, "a WireFrame") && transmit(self, (FrameObject *)frame) ? nothing() : NULL;
 }
 
 static PyObject *call_on_frame(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
@@ -169,6 +193,14 @@ static PyObject *call_on_sent(PyObject *self, PyObject *const *arguments, Py_ssi
     return keep_frame(place_of(self), arguments[0], now, true) ? nothing() : NULL;
 }
 
+/* The place whose bound on_sent this is, or NULL. */
+PlaceObject *place_told(PyObject *on_sent)
+{
+    bool is_ours = on_sent->type == &PyCFunction_Type
+                   && PyCFunction_GetFunction(on_sent) == (PyCFunction)(void (*)(void))call_on_sent;
+    return is_ours ? place_of(PyCFunction_GetSelf(on_sent)) : NULL;
+}
+
 static Py_ssize_t length(PyObject *self) { return place_of(self)->count; }
 
 static PyMethodDef methods[] = {
@@ -178,6 +210,11 @@ static PyMethodDef methods[] = {
     {"transmit", call_transmit, METH_O, NULL},
     {"on_frame", (PyCFunction)(void (*)(void))call_on_frame, METH_FASTCALL, NULL},
     {"on_sent", (PyCFunction)(void (*)(void))call_on_sent, METH_FASTCALL, NULL},
+    {0},
+};
+
+static PyGetSetDef attributes[] = {
+    {"way", get_way, NULL, NULL, NULL},
     {0},
 };
 
@@ -199,6 +236,7 @@ static PyType_Slot slots[] = {
     {Py_tp_dealloc, (void *)discard},
     {Py_sq_length, (void *)length},
     {Py_tp_methods, methods},
+    {Py_tp_getset, attributes},
     {Py_tp_members, members},
     {0},
 };

@@ -87,27 +87,81 @@ static PyObject *call_torque_in_force(PyObject *self, PyObject *none)
 }
 
 /* 6064h as of the last tick, as are the next two. */
-static PyObject *call_position_told(PyObject *self, PyObject *none)
+static double position_told(InnerLoops *loops)
 {
-    (void)none;
-    const UserScale *scale = &loops_of(self)->scale;
-    return whole(user_position(loops_of(self)->state.count - scale->origin, scale->counts_per_position));
+    return user_position(loops->state.count - loops->scale.origin, loops->scale.counts_per_position);
 }
 
 /* 606Ch. */
-static PyObject *call_velocity_told(PyObject *self, PyObject *none)
+static double velocity_told(InnerLoops *loops)
 {
-    (void)none;
-    const InnerLoops *loops = loops_of(self);
-    return whole(clipped(loops->state.speed_measured_rad_s * loops->scale.velocity_per_rad_s, 32));
+    return clipped(loops->state.speed_measured_rad_s * loops->scale.velocity_per_rad_s, 32);
 }
 
 /* 6077h. */
+static double torque_told(InnerLoops *loops)
+{
+    return clipped(loops->state.torque_measured_nm / loops->scale.torque_unit_nm, 16);
+}
+
+/* 6074h: what is in force now. */
+static double torque_demand_told(InnerLoops *loops)
+{
+    return clipped(torque_in_force(loops) / loops->scale.torque_unit_nm, 16);
+}
+
+static PyObject *call_position_told(PyObject *self, PyObject *none)
+{
+    (void)none;
+    return whole(position_told(loops_of(self)));
+}
+
+static PyObject *call_velocity_told(PyObject *self, PyObject *none)
+{
+    (void)none;
+    return whole(velocity_told(loops_of(self)));
+}
+
 static PyObject *call_torque_told(PyObject *self, PyObject *none)
 {
     (void)none;
-    const InnerLoops *loops = loops_of(self);
-    return whole(clipped(loops->state.torque_measured_nm / loops->scale.torque_unit_nm, 16));
+    return whole(torque_told(loops_of(self)));
+}
+
+static PyObject *call_torque_demand_told(PyObject *self, PyObject *none)
+{
+    (void)none;
+    return whole(torque_demand_told(loops_of(self)));
+}
+
+typedef struct ToldNumber {
+    PyCFunction call;
+    double (*tell)(InnerLoops *);
+} ToldNumber;
+
+static const ToldNumber told_numbers[] = {
+    {call_position_told, position_told},
+    {call_velocity_told, velocity_told},
+    {call_torque_told, torque_told},
+    {call_torque_demand_told, torque_demand_told},
+};
+
+/* Ask a bound method of loops that tells an object's number: 1; 0 if it is something else, -1 for an error. */
+int tell_number(PyObject *asked, int64_t *told)
+{
+    if (asked->type != &PyCFunction_Type)
+        return 0;
+    PyCFunction function = PyCFunction_GetFunction(asked);
+    for (size_t place = 0; place < sizeof told_numbers / sizeof *told_numbers; place++) {
+        if (told_numbers[place].call != function)
+            continue;
+        double value = told_numbers[place].tell(loops_of(PyCFunction_GetSelf(asked)));
+        if (value - value != 0.0)
+            return whole(value) == NULL ? -1 : 0; /* no number: its error is set */
+        *told = (int64_t)value;
+        return 1;
+    }
+    return 0;
 }
 
 /* Whether a set-point was cut at the last tick. */
@@ -115,14 +169,6 @@ static PyObject *call_is_limited(PyObject *self, PyObject *none)
 {
     (void)none;
     return PyBool_FromLong(loops_of(self)->state.limited != 0.0);
-}
-
-/* 6074h: what is in force now. */
-static PyObject *call_torque_demand_told(PyObject *self, PyObject *none)
-{
-    (void)none;
-    InnerLoops *loops = loops_of(self);
-    return whole(clipped(torque_in_force(loops) / loops->scale.torque_unit_nm, 16));
 }
 
 static PyObject *call_demand_torque(PyObject *self, PyObject *torque_nm)

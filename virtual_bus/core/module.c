@@ -2,6 +2,7 @@
 #include "actual_values.h"
 #include "arguments.h"
 #include "faults.h"
+#include "frames.h"
 #include "host_place.h"
 #include "pdo_image.h"
 #include "rotation.h"
@@ -139,8 +140,13 @@ static bool show_type(PyObject *module, const ShownType *shown)
     return well;
 }
 
+PyTypeObject *frame_type;
+
 static bool fill(PyObject *module)
 {
+    frame_type = find_frame_type();
+    if (frame_type == NULL)
+        return false;
     if (PyModule_AddStringConstant(module, "SOURCES_DIGEST", SOURCES_DIGEST) < 0)
         return false;
     for (size_t place = 0; place < sizeof shown_numbers / sizeof *shown_numbers; place++) {

@@ -386,8 +386,11 @@ class Port:
         """Queue ``frame``. Raises what ``refusal()`` of the class on top returns, if it is full, off or
         detached; ValueError for a frame that is none of classical CAN."""
 
-    def hear_only(self, heard: dict[int, Any], /) -> None:
-        """Hand only those data frames to the listener whose identifier, of 11 bits, is in ``heard`` then."""
+    def hear_only(
+        self, heard: dict[int, Any], hear: Callable[[Any, WireFrame, Instant], None] | None, /
+    ) -> None:
+        """Hand only those data frames to the listener whose identifier, of 11 bits, is in ``heard`` then; or
+        to ``hear``, with what is there."""
 
     def take_head(self) -> WireFrame | None:
         """Error: ValueError while no error handling is in charge."""
@@ -577,6 +580,9 @@ class PdoCodec:
     def unpack(self, data: bytes, /) -> tuple[Any, ...]:
         """The values of the variables. Error: ValueError for fewer octets."""
 
+    def changed(self) -> bool:
+        """Sample the variables; whether one differs from the last call, before the first from 0."""
+
 class FrameJudge(Protocol):
     """See servobench.virtual_bus.bus.judge."""
 
@@ -602,6 +608,10 @@ class HostPlace:
 
     def __len__(self) -> int:
         """Frames that wait in the inbox."""
+
+    @property
+    def way(self) -> object:
+        """A capsule by which C of another room receives and transmits (design/core/frames.h)."""
 
     def take_port(self, port: Port, /) -> None:
         """Send by ``port`` from now on."""

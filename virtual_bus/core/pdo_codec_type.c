@@ -11,6 +11,7 @@ typedef struct CodecObject {
     int count, variable_count, bits;
     ImageField fields[PDO_FIELDS_MAX];
     PyObject *variables[PDO_FIELDS_MAX]; /* NULL: a gap */
+    uint64_t seen;                       /* image at the last look for a change */
 } CodecObject;
 
 static CodecObject *codec_of(PyObject *self) { return (CodecObject *)self; }
@@ -87,69 +88,107 @@ static void discard(PyObject *self)
     end_object(self);
 }
 
-static PyObject *value_of(const CodecObject *self, PyObject *variable)
+static bool raw_whole(int64_t value, const ImageField *field, uint64_t *raw)
 {
-    static Attribute value = {.spelt = "value"}, provider = {.spelt = "provider"};
-    if (!self->provided)
-        return attribute(&value, variable);
-    PyObject *asked = attribute(&provider, variable);
-    if (asked == NULL || asked == Py_None) {
-        forget(&asked);
-        return PyErr_Occurred() ? NULL : attribute(&value, variable);
-    }
-    PyObject *given = PyObject_Vectorcall(asked, NULL, 0, NULL);
-    Py_DecRef(asked);
-    return given;
+    int bits = 8 * image_octets(field->bits); /* a number is held in whole octets */
+    *raw = (uint64_t)value;
+    bool fits = field->kind == SIGNED ? fits_signed(value, bits) : value >= 0 && fits_unsigned(*raw, bits);
+    if (!fits)
+        PyErr_Format(PyExc_ValueError, "a value that %d bits do not hold: %lld", field->bits, (long long)value);
+    return fits;
 }
 
 static bool raw_of(PyObject *value, const ImageField *field, uint64_t *raw)
 {
-    int64_t whole_number = 0;
+    int64_t whole_number;
     double real;
-    int bits = 8 * image_octets(field->bits); /* a number is held in whole octets */
-    bool fits = true;
-    if (field->kind == REAL) {
-        if (!number(value, &real))
-            return false;
-        *raw = raw_real(real, field->bits);
-        double held = real_value(*raw, field->bits);
-        fits = held - held == 0.0 || real - real != 0.0; /* finite, or never was */
-    } else if (field->kind == UNSIGNED && bits == 64) {
+    if (field->kind == UNSIGNED && field->bits > 56) {
         *raw = PyLong_AsUnsignedLongLong(value);
         return *raw != UINT64_MAX || !PyErr_Occurred();
-    } else {
-        if (!integer(value, &whole_number))
-            return false;
-        *raw = (uint64_t)whole_number;
-        fits = field->kind == SIGNED ? fits_signed(whole_number, bits)
-                                     : whole_number >= 0 && fits_unsigned(*raw, bits);
     }
+    if (field->kind != REAL)
+        return integer(value, &whole_number) && raw_whole(whole_number, field, raw);
+    if (!number(value, &real))
+        return false;
+    *raw = raw_real(real, field->bits);
+    double held = real_value(*raw, field->bits);
+    bool fits = held - held == 0.0 || real - real != 0.0; /* finite, or never was */
     if (!fits)
-        PyErr_Format(PyExc_ValueError, "a value that %d bits do not hold: %lld", field->bits, (long long)whole_number);
+        PyErr_Format(PyExc_ValueError, "a value that %d bits do not hold", field->bits);
     return fits;
+}
+
+/* What a provider gives; a number of the drive's loops becomes no object. */
+static bool raw_given(PyObject *provider, const ImageField *field, uint64_t *raw)
+{
+    int64_t told;
+    int tells = field->kind == REAL ? 0 : tell_number(provider, &told);
+    if (tells)
+        return tells > 0 && raw_whole(told, field, raw);
+    PyObject *given = PyObject_Vectorcall(provider, NULL, 0, NULL);
+    bool well = given != NULL && raw_of(given, field, raw);
+    forget(&given);
+    return well;
+}
+
+/* Of a variable that is held: what is called may change the codec. */
+static bool raw_now(bool provided, PyObject *variable, const ImageField *field, uint64_t *raw)
+{
+    static Attribute value = {.spelt = "value"}, provider = {.spelt = "provider"};
+    PyObject *asked = provided ? attribute(&provider, variable) : NULL;
+    if (provided && asked == NULL)
+        return false;
+    bool well;
+    if (is_there(asked)) {
+        well = raw_given(asked, field, raw);
+    } else {
+        PyObject *held = attribute(&value, variable);
+        well = held != NULL && raw_of(held, field, raw);
+        forget(&held);
+    }
+    forget(&asked);
+    return well;
+}
+
+static bool sample(CodecObject *self, uint64_t *image)
+{
+    uint64_t raw;
+    *image = 0;
+    for (int place = 0; place < self->count; place++) {
+        ImageField field = self->fields[place];
+        if (field.kind == GAP)
+            continue;
+        PyObject *variable = another(self->variables[place]);
+        bool well = raw_now(self->provided, variable, &field, &raw);
+        Py_DecRef(variable);
+        if (!well)
+            return false;
+        put_field(image, &field, raw);
+    }
+    return true;
 }
 
 static PyObject *call_pack(PyObject *self, PyObject *none)
 {
     (void)none;
-    CodecObject *codec = codec_of(self);
-    uint64_t image = 0, raw;
-    for (int place = 0; place < codec->count; place++) {
-        ImageField field = codec->fields[place];
-        if (field.kind == GAP)
-            continue;
-        PyObject *variable = another(codec->variables[place]);
-        PyObject *value = value_of(codec, variable);
-        Py_DecRef(variable);
-        bool well = value != NULL && raw_of(value, &field, &raw);
-        forget(&value);
-        if (!well)
-            return NULL;
-        put_field(&image, &field, raw);
-    }
+    uint64_t image;
     unsigned char octets[8];
-    write_image(image, octets, image_octets(codec->bits));
-    return PyBytes_FromStringAndSize((const char *)octets, image_octets(codec->bits));
+    if (!sample(codec_of(self), &image))
+        return NULL;
+    int count = image_octets(codec_of(self)->bits);
+    write_image(image, octets, count);
+    return PyBytes_FromStringAndSize((const char *)octets, count);
+}
+
+static PyObject *call_changed(PyObject *self, PyObject *none)
+{
+    (void)none;
+    uint64_t image;
+    if (!sample(codec_of(self), &image))
+        return NULL;
+    bool changed = image != codec_of(self)->seen;
+    codec_of(self)->seen = image;
+    return PyBool_FromLong(changed);
 }
 
 static PyObject *value_from(uint64_t raw, const ImageField *field)
@@ -196,6 +235,7 @@ static PyObject *call_unpack(PyObject *self, PyObject *data)
 static PyMethodDef methods[] = {
     {"pack", call_pack, METH_NOARGS, NULL},
     {"unpack", call_unpack, METH_O, NULL},
+    {"changed", call_changed, METH_NOARGS, NULL},
     {0},
 };
 

@@ -32,8 +32,8 @@ static PyObject *make(PyTypeObject *type, PyObject *arguments, PyObject *names)
 static int visit_port(PyObject *self, visitproc visit, void *argument)
 {
     PortObject *port = port_of(self);
-    PyObject *held[] = {(PyObject *)self->type, (PyObject *)port->segment, port->name,    port->listener,
-                        port->on_sent, port->heard};
+    PyObject *held[] = {(PyObject *)self->type, (PyObject *)port->segment, port->name, port->listener,
+                        port->on_sent, port->heard, port->hear};
     for (size_t place = 0; place < sizeof held / sizeof *held; place++) {
         int result = visit_one(held[place], visit, argument);
         if (result)
@@ -59,6 +59,7 @@ static int clear_port(PyObject *self)
     forget(&port_of(self)->listener);
     forget(&port_of(self)->on_sent);
     forget(&port_of(self)->heard);
+    forget(&port_of(self)->hear);
     return 0;
 }
 
@@ -141,19 +142,22 @@ static PyObject *get_room(PyObject *self, void *none)
     return PyLong_FromLongLong(port_of(self)->room);
 }
 
-static PyObject *call_hear_only(PyObject *self, PyObject *heard)
+static PyObject *call_hear_only(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
 {
-    if (!is_a(heard, &PyDict_Type, "a dictionary"))
+    if (!takes(count, 2, "hear_only") || !is_a(arguments[0], &PyDict_Type, "a dictionary"))
         return NULL;
-    PyObject *before = port_of(self)->heard;
-    port_of(self)->heard = another(heard);
-    forget(&before);
+    PortObject *port = port_of(self);
+    PyObject *before[] = {port->heard, port->hear};
+    port->heard = another(arguments[0]);
+    port->hear = another(arguments[1]);
+    forget(&before[0]);
+    forget(&before[1]);
     return nothing();
 }
 
 static PyMethodDef methods[] = {
     {"send", call_send, METH_O, NULL},
-    {"hear_only", call_hear_only, METH_O, NULL},
+    {"hear_only", (PyCFunction)(void (*)(void))call_hear_only, METH_FASTCALL, NULL},
     {"take_head", call_take_head, METH_NOARGS, NULL},
     {"clear", call_clear, METH_NOARGS, NULL},
     {0},

@@ -169,37 +169,57 @@ typedef struct Delivery {
     PyObject *at, *can_id;
 } Delivery;
 
-/* Whether a port's listener wants the frame: 1 or 0, -1 for an error. Remote frames are always handed on. */
-static int is_wanted(const PortObject *port, Delivery *delivery)
+/* What a dictionary has for the frame's identifier, with a reference; NULL: nothing, or an error. */
+static PyObject *entry_for(PyObject *heard, Delivery *delivery)
 {
-    if (!is_there(port->heard) || delivery->frame->remote)
-        return 1;
     if (delivery->frame->extended)
-        return 0;
+        return NULL;
     if (delivery->can_id == NULL && (delivery->can_id = PyLong_FromLongLong(delivery->frame->can_id)) == NULL)
-        return -1;
-    if (PyDict_GetItemWithError(port->heard, delivery->can_id) != NULL)
-        return 1;
-    return PyErr_Occurred() ? -1 : 0;
+        return NULL;
+    PyObject *entry = PyDict_GetItemWithError(heard, delivery->can_id);
+    return entry == NULL ? NULL : another(entry);
 }
 
-static bool hand_to(PortObject *port, Delivery *delivery)
+static bool tell_listener(PyObject *listener, const Delivery *delivery)
 {
     static PyObject *name;
-    PyObject *listener = port->listener;
-    if (!is_there(listener))
-        return true;
-    if (listener->type == place_type)
-        return hear_frame((PlaceObject *)listener, delivery->frame, delivery->now);
-    int wanted = is_wanted(port, delivery);
-    if (wanted <= 0)
-        return wanted == 0;
     if (name == NULL && (name = PyUnicode_InternFromString("on_frame")) == NULL)
         return false;
     PyObject *arguments[] = {another(listener), delivery->frame->object, delivery->at};
     bool well = went_well(PyObject_VectorcallMethod(name, arguments, 3, NULL));
     Py_DecRef(arguments[0]);
     return well;
+}
+
+/* To a listener that wants some data frames only. Remote frames are always handed on. */
+static bool hand_if_heard(PortObject *port, Delivery *delivery)
+{
+    PyObject *entry = entry_for(port->heard, delivery);
+    if (entry == NULL)
+        return !PyErr_Occurred();
+    bool well;
+    if (is_there(port->hear)) {
+        PyObject *hear = another(port->hear);
+        PyObject *arguments[] = {entry, delivery->frame->object, delivery->at};
+        well = went_well(PyObject_Vectorcall(hear, arguments, 3, NULL));
+        Py_DecRef(hear);
+    } else {
+        well = tell_listener(port->listener, delivery);
+    }
+    Py_DecRef(entry);
+    return well;
+}
+
+static bool hand_to(PortObject *port, Delivery *delivery)
+{
+    PyObject *listener = port->listener;
+    if (!is_there(listener))
+        return true;
+    if (listener->type == place_type)
+        return hear_frame((PlaceObject *)listener, delivery->frame, delivery->now);
+    if (is_there(port->heard) && !delivery->frame->remote)
+        return hand_if_heard(port, delivery);
+    return tell_listener(listener, delivery);
 }
 
 static bool hand_to_all(PyObject *monitors, PyObject *ports, PortObject *sender, Delivery *delivery)
@@ -216,7 +236,9 @@ static bool hand_to_all(PyObject *monitors, PyObject *ports, PortObject *sender,
     if (!is_there(sender->on_sent))
         return true;
     PyObject *on_sent = another(sender->on_sent);
-    bool well = tell(on_sent, delivery->frame->object, delivery->at);
+    PlaceObject *place = place_told(on_sent);
+    bool well = place != NULL ? keep_frame(place, delivery->frame->object, delivery->now, true)
+                              : tell(on_sent, delivery->frame->object, delivery->at);
     Py_DecRef(on_sent);
     return well;
 }

@@ -11,4 +11,8 @@ extern PyType_Spec codec_spec;
 extern PyType_Spec numbers_spec, strike_spec, hold_spec;
 extern PyType_Spec queue_spec, route_spec, block_spec, fates_spec;
 
+extern PyTypeObject *frame_type; /* of the core of drivers */
+
+int tell_number(PyObject *asked, int64_t *told);
+
 #endif

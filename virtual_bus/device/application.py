@@ -24,7 +24,7 @@ from mypy_extensions import mypyc_attr
 
 from servobench.drivers.canopen.error_codes import ErrorRegister
 from servobench.drivers.canopen.nmt_states import NmtState
-from servobench.drivers.timebase import Instant
+from servobench.drivers.timebase import NEVER, Instant
 from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
 
 
@@ -92,8 +92,8 @@ class DeviceServices(Protocol):
 class Application:
     """A device's application; the base class is a device that does nothing. Override what is needed."""
 
-    wake_at: Instant | None = None
-    """When the application wants to be advanced without being asked; None: never."""
+    wake_at: Instant = NEVER
+    """When the application wants to be advanced without being asked; NEVER: not at all."""
 
     def attach(self, services: DeviceServices) -> None:
         """Add objects to ``services.dictionary`` and keep ``services``."""

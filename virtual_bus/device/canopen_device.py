@@ -148,8 +148,8 @@ class CanopenDevice:
         return self._station.data_handlers
 
     @property
-    def wake_at(self) -> Instant | None:
-        """The earliest timer of the device or wish of its application; now, if frames are waiting."""
+    def due_at(self) -> Instant:
+        """The earliest timer of the device or wish of its application; now, if frames are waiting; NEVER."""
         station = self._station
         if station.out and not station.mute:
             return station.now
@@ -157,8 +157,12 @@ class CanopenDevice:
         if self._pdos.watching and self._pdos.look_at < due:
             due = self._pdos.look_at
         wish = self._application.wake_at
-        if wish is not None and wish < due:
-            return wish
+        return wish if wish < due else due
+
+    @property
+    def wake_at(self) -> Instant | None:
+        """See :class:`servobench.virtual_bus.frame.Device`."""
+        due = self.due_at
         return None if due == NEVER else due
 
     def start(self, now: Instant) -> Sequence[Frame]:
@@ -175,9 +179,15 @@ class CanopenDevice:
         """A frame ended on the bus at ``now``; one that nobody listens to costs a dictionary look-up."""
         station = self._station
         handlers = (station.remote_handlers if frame.remote else station.data_handlers).get(frame.can_id)
-        if handlers is None or frame.extended or self._booting:
+        if handlers is None or frame.extended:
             return _NOTHING
-        station.now = now
+        return self.hear(handlers, frame, now)
+
+    def hear(self, handlers: tuple[Handler, ...], frame: Frame, now: Instant) -> Sequence[Frame]:
+        """As :meth:`receive`, of a frame that ``handlers`` listen to."""
+        if self._booting:
+            return _NOTHING
+        self._station.now = now
         self._application.advance(now)
         for handler in handlers:
             handler(frame, now)

@@ -62,6 +62,11 @@ def compile_packer(fields: Sequence[Field]) -> Callable[[], bytes]:
     return _codec(fields).pack
 
 
+def compile_watch(fields: Sequence[Field]) -> Callable[[], bool]:
+    """A function that says whether a variable has changed since its last call. ValueError as above."""
+    return _codec(fields).changed
+
+
 def compile_unpacker(fields: Sequence[Field]) -> Callable[[bytes], tuple[Any, ...]]:
     """A function that takes an RPDO's bytes (at least its length) into one value for each variable."""
     return _codec(fields).unpack

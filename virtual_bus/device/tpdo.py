@@ -14,14 +14,15 @@ device looks whenever it has done something (:class:`servobench.virtual_bus.devi
 1013h is no event: a clock that runs tells nothing.
 """
 
-from typing import Any, Final
+from typing import Final
 
 from servobench.drivers.canopen import cob_ids
 from servobench.drivers.canopen.nmt_states import NmtState
 from servobench.drivers.canopen.objects301 import TPDO_COMMUNICATION, TPDO_MAPPING, Cia301
+from servobench.drivers.core.native import data_frame
 from servobench.drivers.timebase import NS_PER_100_US, NS_PER_MS, Instant
 from servobench.virtual_bus.device.object_dictionary import Variable
-from servobench.virtual_bus.device.pdo_codec import compile_packer
+from servobench.virtual_bus.device.pdo_codec import compile_packer, compile_watch
 from servobench.virtual_bus.device.pdo_parameters import PdoParameters
 from servobench.virtual_bus.device.sdo_abort import AbortCode
 from servobench.virtual_bus.device.station import Station
@@ -45,6 +46,7 @@ class TransmitPdo(PdoParameters):
         super().__init__(station, TPDO_COMMUNICATION + number - 1, TPDO_MAPPING + number - 1)
         self._watching = watching
         self._sample = compile_packer([])
+        self._frame = data_frame
         self._can_id = 0
         self._type = 0
         self._complete = False
@@ -60,11 +62,10 @@ class TransmitPdo(PdoParameters):
         self._event_ns = 0
         self._free_at = Instant(0)
         self._remote: int | None = None
-        self._mapped: list[Variable] = []
-        self._seen: list[Any] = []
-        """Their values at the last look."""
+        self._changed = compile_watch([])
+        """Looks at what it maps; whether that has changed since the last look."""
         self.runs = False
-        """One of them changes by time or motion, not only when the device does something."""
+        """What it maps changes by time or motion, not only when the device does something."""
         self._inhibit_timer = station.timers.create(self._on_inhibit_over)
         self._event_timer = station.timers.create(self._on_event_timer)
         for subindex, check in ((3, self.refused_while_it_exists), (6, self._check_start)):
@@ -80,11 +81,9 @@ class TransmitPdo(PdoParameters):
         """Take over COB-ID, type, mapping and timers."""
         fields = self.fields()
         self._sample = compile_packer(fields)
-        mapped = [field.variable for field in fields if field.variable is not None]
-        self._mapped = [
-            variable for variable in mapped if variable.index != Cia301.HIGH_RESOLUTION_TIME_STAMP
-        ]
-        self.runs = any(variable.provider is not None for variable in self._mapped)
+        watched = [field for field in fields if field.variable is not None and _tells(field.variable)]
+        self._changed = compile_watch(watched)
+        self.runs = any(field.variable is not None and field.variable.provider for field in watched)
         self._can_id = self.can_id
         self._type = self.parameter(2)
         self._inhibit_ns = self.parameter(3) * NS_PER_100_US
@@ -116,7 +115,7 @@ class TransmitPdo(PdoParameters):
         self._event = self._type == SYNCHRONOUS_ACYCLIC
         if self._event or self._event_driven:
             self._watching.append(self)
-            self._seen = self._values()
+            self._changed()
         if self._event_driven and announce:
             self._transmit_event(now)
         elif self._event_driven and self._event_ns:
@@ -145,7 +144,7 @@ class TransmitPdo(PdoParameters):
             if not self._left:
                 self._left = kind
                 self._latched = data = self._sample()
-                self.station.out.append(Frame(self._can_id, data))
+                self.station.out.append(self._frame(self._can_id, data))
         elif kind == REMOTE_SYNCHRONOUS:
             self._latched = self._sample()
         elif self._event:
@@ -154,17 +153,12 @@ class TransmitPdo(PdoParameters):
 
     def look(self) -> None:
         """An event, if a mapped object has changed since the last look."""
-        values = self._values()
-        if values == self._seen:
+        if not self._changed():
             return
-        self._seen = values
         if self._type == SYNCHRONOUS_ACYCLIC:
             self._event = True
         else:
             self._on_event(self.station.now)
-
-    def _values(self) -> list[Any]:
-        return [v.value if v.provider is None else v.provider() for v in self._mapped]
 
     def _on_event(self, now: Instant) -> None:
         if now >= self._free_at:
@@ -191,9 +185,9 @@ class TransmitPdo(PdoParameters):
         self._transmit()
 
     def _transmit(self) -> None:
-        self._seen = self._values()
+        self._changed()
         data = self._latched = self._sample()
-        self.station.out.append(Frame(self._can_id, data))
+        self.station.out.append(self._frame(self._can_id, data))
 
     def _listen_for_remote(self, allowed: bool) -> None:
         if self._remote is not None:
@@ -214,3 +208,8 @@ class TransmitPdo(PdoParameters):
         if value > SYNCHRONOUS_CYCLIC_MAX:
             return AbortCode.INVALID_VALUE
         return self.refused_while_it_exists(value)
+
+
+def _tells(variable: Variable) -> bool:
+    """Whether a change of it is an event."""
+    return variable.index != Cia301.HIGH_RESOLUTION_TIME_STAMP

@@ -142,8 +142,7 @@ class ServoApplication(Application):
         if self._task is not None and self._run_mode(now):
             return
         if not self.firmware.advance_to(now):
-            due = self.wake_at
-            if due is not None and due <= now:
+            if self.wake_at <= now:
                 self.wake_at = Instant(now + _WAKE_WHILE_STOPPING_NS)
             return
         power = self.power

@@ -17,6 +17,7 @@ from servobench.virtual_bus.bus.error_message import told_bus_off
 from servobench.virtual_bus.bus.listener import Listener
 from servobench.virtual_bus.bus.segment import CanSegment
 from servobench.virtual_bus.device.canopen_device import CanopenDevice
+from servobench.virtual_bus.device.station import Handler
 from servobench.virtual_bus.frame import Device, Frame
 
 POLL_NS: Final = 50 * NS_PER_MS
@@ -46,7 +47,7 @@ class AttachedDevice(Listener):
         self.frames_lost = 0
         """Frames that did not fit into the port's transmit queue."""
         self._timeline = timeline = segment.timeline
-        self._scheduled: Instant | None = None
+        self._scheduled: Instant = NEVER
         self._wake = self._on_event
         # Compiled, a class that is known is called directly: a call by the protocol costs ten times that.
         self._canopen = device if isinstance(device, CanopenDevice) else None
@@ -58,7 +59,7 @@ class AttachedDevice(Listener):
         self._attached = True
         heard = getattr(device, "heard", None)
         if heard is not None:
-            self.port.hear_only(heard)
+            self.port.hear_only(heard, None if self._canopen is None else self._hear)
         follow = getattr(device, "follow_bit_rate", None)
         if follow is not None:
             follow(self.port.set_bitrate)
@@ -76,13 +77,17 @@ class AttachedDevice(Listener):
         self._schedule()
 
     def on_frame(self, frame: Frame, now: Instant) -> None:
-        canopen = self._canopen
-        frames = self.device.receive(frame, now) if canopen is None else canopen.receive(frame, now)
+        self._act_on(self.device.receive(frame, now))
+
+    def _hear(self, handlers: tuple[Handler, ...], frame: Frame, now: Instant) -> None:
+        """A data frame that the device listens to."""
+        assert self._canopen is not None
+        self._act_on(self._canopen.hear(handlers, frame, now))
+
+    def _act_on(self, frames: Sequence[Frame]) -> None:
         if frames:
             self._send(frames)
-        due = self._due()
-        if due is not None and (self._scheduled is None or due < self._scheduled):
-            self._schedule()
+        self._schedule()
 
     def _on_error_state(self, state: ErrorState, now: Instant) -> None:
         off = state is ErrorState.BUS_OFF
@@ -98,24 +103,25 @@ class AttachedDevice(Listener):
             except can.CanOperationError:
                 self.frames_lost += 1
 
-    def _due(self) -> Instant | None:
-        return self.device.wake_at if self._canopen is None else self._canopen.wake_at
+    def _due(self) -> Instant:
+        if self._canopen is not None:
+            return self._canopen.due_at
+        due = self.device.wake_at
+        return NEVER if due is None else due
 
     def _schedule(self) -> None:
         due = self._due()
-        if due is not None and (self._scheduled is None or due < self._scheduled):
+        if due < self._scheduled:
             self._scheduled = due
             self._timeline.post(due, self._wake)
 
     def _on_event(self, now: Instant) -> None:
-        if self._scheduled is None or now < self._scheduled or not self._attached:
+        if now < self._scheduled or not self._attached:
             return
-        self._scheduled = None
-        due = self.device.wake_at
-        if due is not None and due <= now:
+        self._scheduled = NEVER
+        if self._due() <= now:
             self._send(self.device.wake(now))
-            due = self.device.wake_at
-            assert due is None or due > now, "a device must not ask for a wake that has passed"
+            assert self._due() > now, "a device must not ask for a wake that has passed"
         self._schedule()
 
 

@@ -101,8 +101,7 @@ def copy_cores(folder: Path) -> None:
         for path in core.parent.iterdir():
             if path.name != "core":
                 (room / path.name).symlink_to(path)
-    for name in ("drivers", "tests"):
-        (folder / name).symlink_to(ROOT / name)
+    (folder / "tests").symlink_to(ROOT / "tests")
     shutil.copytree(ROOT / "servobench", folder / "servobench", symlinks=True)
 
 

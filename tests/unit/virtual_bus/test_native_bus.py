@@ -126,7 +126,7 @@ def test_a_port_that_hears_only_some_gets_no_others() -> None:
     got: list[Frame] = []
     sender = segment.attach("sender", Listener())
     hears = {5: "of interest"}
-    segment.attach("some", Hearing(lambda frame, _now: got.append(frame))).hear_only(hears)
+    segment.attach("some", Hearing(lambda frame, _now: got.append(frame))).hear_only(hears, None)
     sent = [Frame(5), Frame(6), Frame(5, extended=True), Frame(6, remote=True, remote_length=1), Frame(7)]
     for frame in sent:
         if frame.can_id == 7:

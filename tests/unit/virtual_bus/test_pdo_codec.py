@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from servobench.drivers.canopen.data_types import BITS, SIGNED_BITS, DataType
 from servobench.virtual_bus.core.native import SIGNED, PdoCodec
 from servobench.virtual_bus.device.object_dictionary import Variable
-from servobench.virtual_bus.device.pdo_codec import Field, compile_packer, compile_unpacker
+from servobench.virtual_bus.device.pdo_codec import Field, compile_packer, compile_unpacker, compile_watch
 
 WHOLE = (
     DataType.BOOLEAN,
@@ -92,3 +92,17 @@ def test_fewer_octets_and_more_than_64_bits_are_refused() -> None:
         compile_unpacker(mapped((DataType.INTEGER16, 0)))(b"\0")
     with pytest.raises(ValueError, match="at most 64"):
         PdoCodec([(None, 64, SIGNED), (None, 1, SIGNED)], False)
+
+
+def test_a_watch_tells_each_change_once() -> None:
+    fields = mapped((DataType.UNSIGNED16, 3), (DataType.INTEGER8, -1))
+    changed = compile_watch(fields)
+    second = fields[1].variable
+    assert second is not None
+    assert (changed(), changed()) == (True, False)
+    second.value = 1
+    assert (changed(), changed()) == (True, False)
+    values = iter((5, 5, 6))
+    second.provider = lambda: next(values)
+    watched = compile_watch(fields)
+    assert (watched(), watched(), watched()) == (True, False, True)

@@ -1,0 +1,48 @@
+/* A frame, and what C of one room offers C of another: a port to receive from and transmit on, a sink that sees frames.
+
+   An object offers such a way by its attribute `way`, a capsule of one of these names; its functions are given the
+   object itself. */
+#ifndef CORE_FRAMES_H
+#define CORE_FRAMES_H
+
+#include <stdbool.h>
+
+#include "objects.h"
+
+#define PORT_WAY "servobench port"
+#define SINK_WAY "servobench sink"
+
+/* servobench.drivers.core.native.WireFrame, which native.pyi documents. */
+typedef struct FrameObject {
+    PyObject head;
+    PyObject *data; /* octets */
+    int64_t can_id, remote_length, handed_at;
+    bool extended, remote;
+} FrameObject;
+
+typedef struct Arrived {
+    FrameObject *frame; /* the reference is the receiver's */
+    int64_t at;
+    bool own;
+} Arrived;
+
+typedef struct PortWay {
+    /* 1: a frame came by `until`, 0: none, -1: an error. Lets time pass. */
+    int (*receive)(PyObject *self, int64_t until, Arrived *arrived);
+    bool (*transmit)(PyObject *self, FrameObject *frame);
+} PortWay;
+
+typedef struct SinkWay {
+    bool (*take)(PyObject *self, const FrameObject *frame, bool sent, int64_t at);
+} SinkWay;
+
+/* The frame's type, with a reference as long as the process is there; NULL for an error. */
+static inline PyTypeObject *find_frame_type(void)
+{
+    PyObject *drivers = PyImport_ImportModule("servobench.drivers.core.native");
+    PyObject *type = drivers == NULL ? NULL : PyObject_GetAttrString(drivers, "WireFrame");
+    forget(&drivers);
+    return (PyTypeObject *)type;
+}
+
+#endif

@@ -1,0 +1,58 @@
+/* The module servobench.drivers.core.native; native.pyi says what it holds. */
+#include "objects.h"
+#include "types.h"
+
+static PyMethodDef functions[] = {
+    {"data_frame", (PyCFunction)(void (*)(void))call_data_frame, METH_FASTCALL, NULL},
+    {0},
+};
+
+static PyModuleDef definition = {
+    PyModuleDef_HEAD_INIT,
+    .name = "native",
+    .size = -1,
+    .methods = functions,
+};
+
+/* `*place` is the type, with a reference as long as the process is there. */
+static bool show_type(PyObject *module, const char *name, PyType_Spec *spec, PyTypeObject **place)
+{
+    *place = (PyTypeObject *)PyType_FromSpec(spec);
+    return *place != NULL && PyModule_AddObjectRef(module, name, (PyObject *)*place) == 0;
+}
+
+/* The fields of a frame, as servobench.drivers.record has them of a record. */
+static bool name_fields(void)
+{
+    static const char *names[] = {"can_id", "data", "extended", "remote", "remote_length"};
+    int count = sizeof names / sizeof *names;
+    PyObject *fields = PyTuple_New(count);
+    for (int place = 0; fields != NULL && place < count; place++) {
+        PyObject *name = PyUnicode_FromString(names[place]);
+        if (name == NULL)
+            forget(&fields);
+        else
+            PyTuple_SetItem(fields, place, name);
+    }
+    bool well = fields != NULL && PyObject_SetAttrString((PyObject *)frame_type, "__match_args__", fields) == 0;
+    forget(&fields);
+    return well;
+}
+
+static bool fill(PyObject *module)
+{
+    PyTypeObject *pump_type;
+    return show_type(module, "WireFrame", &frame_spec, &frame_type) && name_fields()
+           && show_type(module, "Link", &link_spec, &link_type) && show_type(module, "Pump", &pump_spec, &pump_type)
+           && PyModule_AddStringConstant(module, "SOURCES_DIGEST", SOURCES_DIGEST) == 0;
+}
+
+PyMODINIT_FUNC PyInit_native(void)
+{
+    PyObject *module = PyModule_Create2(&definition, PYTHON_ABI_VERSION);
+    if (module != NULL && !fill(module)) {
+        Py_DecRef(module);
+        return NULL;
+    }
+    return module;
+}
