@@ -53,7 +53,7 @@ def distrust(axes: Sequence[Axis], period: Duration) -> tuple[str, ...]:
     for axis in axes:
         stamped = axis.by_stamp.health
         doubts = _doubts(stamped) + _doubts(axis.by_order.health)
-        if stamped.stamp_error_ns_max > period // 2:
+        if stamped.stamp_error_ns_max > period // 2 and not axis.by_stamp.stamps.coarse:
             error_us = stamped.stamp_error_ns_max / NS_PER_US
             doubts.append(f"a sampling instant is known to {error_us:.0f} us only, more than half a period")
         reasons += [f"{axis.parts.name}: {doubt}" for doubt in doubts]

@@ -28,9 +28,6 @@ from servobench.hil.loop.way_back import WayBack
 
 _SHOWN_BY_OTHERS: Final = (DropoutCause.LOST, DropoutCause.STALE)
 """What a cycle's reading is known to be by the places of other readings."""
-COARSE_PARTS: Final = 10
-"""A stamp that advances by more than this part of a period leaves open which SYNC it is of: map and stamp may
-both be off by a step, and twice both, the bound of a sample, is half a period then. Order knows more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +73,6 @@ class Axis:
     ) -> None:
         syncs = parts.syncs
         self.parts = parts
-        self._by_stamps = COARSE_PARTS * parts.stamp_resolution <= period
         self.meter = DelayMeter(parts.deadline, parts.horizon)
         self.commands = CommandMeter(parts.horizon, syncs, parts.acts_at_syncs)
         self.readbacks = ReadbackTie(syncs, period, parts.horizon)
@@ -84,6 +80,7 @@ class Axis:
         self._number = number
         self._period = period
         self._attribute()
+        self._by_stamps = not self.by_stamp.stamps.too_coarse
         self._held_max = max(REVOKED, min(HELD_MAX, HELD_FOR // period))
         self._record = record
         self._asks_speeds = parts.reference.quantity is Quantity.SPEED
@@ -145,7 +142,7 @@ class Axis:
             self.parts.tell("its stamp stands still: its readings are placed by their order")
         if self._by_stamps and reading.device_time_ns is not None:
             self.by_stamp.learn(reading, mark)
-            if COARSE_PARTS * self.by_stamp.stamps.resolution > self._period:
+            if self.by_stamp.stamps.too_coarse:
                 self._by_stamps = self.by_stamp.clock.ready = False
                 us = self.by_stamp.stamps.resolution // NS_PER_US
                 self.parts.tell(f"its stamp advances by {us} us: its readings are placed by their order")

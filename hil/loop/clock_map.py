@@ -54,7 +54,7 @@ class ClockMap:
 
     def set_resolution(self, resolution: Duration) -> None:
         """Stamps from now on are rounded down to a multiple of ``resolution``."""
-        self.resolution = resolution
+        self.resolution = self.off_most = resolution
         self._rounding_variance = resolution**2 / 12.0
         """Of a value that is equally likely anywhere in a step, ns^2."""
 
@@ -81,7 +81,7 @@ class ClockMap:
     @property
     def error_ns(self) -> int:
         """Of a placed instant: the resolution of a stamp and four standard deviations of the line."""
-        return self.resolution + int(4.0 * math.sqrt(self._offset_var))
+        return self.off_most + int(4.0 * math.sqrt(self._offset_var))
 
     def since_last(self, device_ns: int) -> int:
         """How long after the last stamp that the line has followed this one is, on the drive's clock."""

@@ -132,6 +132,13 @@ class ClockQuestion:
         off has some below the time of a frame, or all above those of before."""
         return AGREEING_SPREAD if self.delays.spreads(self._half * 7 // 4) else AGREEING
 
+    def bounded(self, error_ns: int, after: int, delay: int) -> int:
+        """``error_ns`` of a sample ``after`` its SYNC, or less where stamps are coarse and what the ``delay``
+        of its reading from the SYNC exceeds the smallest by says so, as it does without stamps."""
+        if self._echoes_late or not self._stamps.coarse:
+            return error_ns
+        return min(error_ns, max(after, self.delays.late(delay, self._transit) - after))
+
     def unstamped_ns(self, delay: int) -> int:
         """How much later than its stamp a reading of ``delay`` may have been sampled: 0 unless the stamp is
         latched when the SYNC comes. What the drive took from there is in no stamp, but in the delay."""

@@ -18,6 +18,13 @@ from servobench.hil.loop.syncs import SyncMark
 MATCH_NS: Final = 3 * NS_PER_US
 """A stamp of 1 us so near to a SYNC is its own: a step of the stamp and two of rounding. A coarser one may be
 off by as much more as its step is longer."""
+COARSE_PARTS: Final = 10
+"""A stamp that advances by more than this part of a period is coarse: map and stamp may both be off by a
+step, and twice both, the bound of a sample, is half a period. So half a step to either side is reckoned with.
+"""
+COARSEST_PARTS: Final = 3
+"""One that advances by more leaves open which SYNC it is of, and any coarse one where echoes err. Order knows
+more."""
 LEARNED_MIN: Final = 8
 """Fewer than so many say little of how far residuals reach."""
 LEARNED_MAX: Final = 64
@@ -76,7 +83,7 @@ class DriveStamps:
         self.clock = ClockMap(resolution)
         self.residuals = Residuals(echo_error / 3.0)
         self._changes = LatchSteps()
-        self.resolution = resolution
+        self.resolution = self._told = resolution
         """As given, or as the steps of the stamps have shown while learning."""
         self._echo_error = echo_error
         self._echoes_late = echoes_late
@@ -92,6 +99,17 @@ class DriveStamps:
         """Its stamps, and when their SYNCs were handed over, which no adapter stamps."""
         self._heard_late = False
         """Whether SYNCs are another's, and their instants may all be late: they show no steps of stamps."""
+
+    @property
+    def coarse(self) -> bool:
+        """Whether they tell which SYNC they are of, but hardly when that came to the drive."""
+        return COARSE_PARTS * self.resolution > self._period
+
+    @property
+    def too_coarse(self) -> bool:
+        """Whether they do not tell which SYNC they are of."""
+        parts = COARSEST_PARTS if self._echo_error <= NS_PER_US else COARSE_PARTS
+        return parts * self.resolution > self._period
 
     @property
     def match_ns(self) -> int:
@@ -138,14 +156,25 @@ class DriveStamps:
 
         The map took each for exact so far, and its steps for the rate of the clock: it is learned anew.
         """
-        if step > self.resolution:
+        if step > self.resolution and not self._explains(step):
             self.resolution = Duration(step)
             self.clock.set_resolution(self.resolution)
             self.unmapped_ns = self._unmapped()
             self.clock.start_anew(list(self._learned), self._echo_variance_ns2)
 
+    def _explains(self, step: int) -> bool:
+        """Whether a coarse resolution that was told explains all that is seen of a larger ``step``, which may
+        be that of the SYNCs: they are late by parts of a period only."""
+        if self._told <= STAMP_RESOLUTION or 2 * step <= self._period:
+            return False
+        off = residuals_of(list(self._learned))
+        return max(off) - min(off) <= self._told
+
     def _unmapped(self) -> int:
-        return MATCH_NS + self.resolution - STAMP_RESOLUTION + self._echo_error
+        off = self.resolution
+        if self.coarse:
+            off = self.clock.off_most = Duration(off // 2)
+        return MATCH_NS + off - STAMP_RESOLUTION + self._echo_error
 
     def fits(self, residual: int) -> bool:
         """Whether a stamp lies on its SYNC: as near as others do, and not so far that it may be another's."""

@@ -14,6 +14,7 @@ from servobench.hil.loop.syncs import STAMPED_LATE, SyncLog
 from servobench.hil.loop.usual_delays import (
     ALIKE_MIN,
     RARE,
+    TOO_SOON,
     Resemblance,
     UsualDelays,
     lag_to_resemble,
@@ -138,6 +139,13 @@ class OrderQuestion:
     def _comes_too_soon(self, delay: int) -> bool:
         """Whether a reading of the SYNC before would have come sooner than its frame can."""
         return delay < self._soonest and self._syncs.basis not in STAMPED_LATE
+
+    @property
+    def may_be_others(self) -> bool:
+        """Whether readings may not answer the SYNC before them though only one is missing: they may be those
+        of later ones, or have come too soon for it."""
+        too_soon = any(since.too_soon >= TOO_SOON for _, since in self._misses)
+        return too_soon or not self.phase_known or self.sooner() > 0
 
     def settled(self, number: int, lag: int) -> bool:
         """The answer is ``lag``, up to SYNC ``number``; whether delays have changed, and nothing was lost."""

@@ -53,23 +53,19 @@ class StampAttribution:
     ) -> None:
         """``transit``: the shortest time that a reading's frame takes on the wire. ``tell``: takes events.
         ``resolution``: of a stamp. ``at_arrival``: it is latched when the SYNC comes, not at the sampling."""
-        self.health = Health()
-        self.question = Question()
+        self.health, self.question = Health(), Question()
         self._echoes_late = syncs.basis in STAMPED_LATE
         self.stamps = DriveStamps(period, syncs.error_ns, resolution, self._echoes_late)
-        self.clock = self.stamps.clock
+        self.clock, self._residuals = self.stamps.clock, self.stamps.residuals
         self.doubtful_error_ns = REMEMBERED * period
         """Of a reading of uncertain place: any SYNC that is remembered may be its own."""
-        self._syncs = syncs
+        self._syncs, self._tell = syncs, tell
         self._half = period // 2
         self._transit = transit
-        self._tell = tell
-        self._residuals = self.stamps.residuals
         self._case = ClockQuestion(syncs, self.stamps, period, transit, at_arrival)
         self.doubt = PeriodDoubt(syncs, self.stamps, period, transit, tell)
         self._suspects: list[Suspect] = []
-        self._slowest = 0
-        """The longest delay of a suspect that lies on a SYNC."""
+        self._slowest = 0  # the longest delay of a suspect that lies on a SYNC
         self._recent: deque[Sample] = deque(maxlen=REVOKED)
 
     @property
@@ -167,6 +163,8 @@ class StampAttribution:
         elif residuals.early or residuals.late or lateness > match_ns:
             # Nothing but the SYNC itself excludes that it was not late to the drive.
             error_ns = max(lateness, residuals.hidden) + match_ns + residuals.slack
+        if error_ns > self._half:
+            error_ns = self._case.bounded(error_ns, sampled_at - on_bus_at, reading.received_at - on_bus_at)
         self.stamps.follow(device_ns, on_bus_at, residual)
         if mark.sequence == SURPLUS:
             health.unmatched += 1
