@@ -25,6 +25,7 @@ from servobench.hil.configuration.controller_kinds import (
     StateFeedbackController,
 )
 from servobench.hil.configuration.drive_file import load_drive_file
+from servobench.hil.configuration.drive_model import load_drive_model
 from servobench.hil.configuration.motor_file import load_motor
 from servobench.hil.configuration.references import load_signal
 from servobench.virtual_bus.faults.fault_plan import FaultPlan, load_fault_plan, read_fault_plan
@@ -157,7 +158,7 @@ _FILES_OF_DRIVE: Final[Mapping[str, _Reader]] = {
     "controller": load_controller,
     "commissioned": load_drive_file,
 }
-_FILES_OF_SIMULATION: Final[Mapping[str, _Reader]] = {"motor": load_motor}
+_FILES_OF_SIMULATION: Final[Mapping[str, _Reader]] = {"motor": load_motor, "like": load_drive_model}
 _FILES_OF_CURRENT_CONTROL: Final[Mapping[str, _Reader]] = {
     "controller": partial(load_current_controller, axis="q"),
     "controller_d": partial(load_current_controller, axis="d"),

@@ -25,6 +25,7 @@ from servobench.hil.configuration.controller_kinds import (
     ControllerSection,
 )
 from servobench.hil.configuration.drive_file import DriveFile
+from servobench.hil.configuration.drive_model import DriveModel
 from servobench.hil.configuration.motor_file import MotorFile
 from servobench.hil.configuration.quantities import (
     DropoutsInARow,
@@ -203,6 +204,9 @@ class Simulation(Section):
     servobench's own drive."""
     motor: MotorFile | None = None
     """The motor on its shaft, as a motor file or its tables; default: ``drive.NAME.motor``."""
+    like: DriveModel | None = None
+    """Its supply and its protection, as the path of a file or its tables; default: a DC link without end,
+    and no protection."""
     rehearse: int | None = Field(default=None, ge=0)
     """Seed of `hil rehearse`, whose drive with its motor and encoder is simulated instead."""
 

@@ -42,6 +42,7 @@ from servobench.hil.rows.recording_plan import CertifiedPlan
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
 from servobench.virtual_bus.faults.kinds.drive_fault import DriveFault
 from servobench.virtual_bus.faults.kinds.safe_torque_off import SafeTorqueOff
+from servobench.virtual_bus.faults.kinds.supply_sag import SupplySag
 
 REMEDY: Final = (
     "design for this network and drive with hil design speed --network --bench, or run with "
@@ -194,7 +195,7 @@ class NetworkGuard:
         self.tell(text)
 
 
-_ON_THE_DRIVE: Final = (DriveFault.kind, SafeTorqueOff.kind)
+_ON_THE_DRIVE: Final = (DriveFault.kind, SafeTorqueOff.kind, SupplySag.kind)
 """Faults of a plan that do not concern the network."""
 
 

@@ -26,6 +26,7 @@ from servobench.drivers.wire.adapters import BusSpec, shared_bus
 from servobench.drivers.wire.link import BusLink
 from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.configuration.controller_files import CurrentController, read_current_controller
+from servobench.hil.configuration.drive_model import DriveModel
 from servobench.hil.configuration.references import SignalFile
 from servobench.hil.execution.device_files import DeviceFiles
 from servobench.hil.execution.world import WorldPlan, open_world
@@ -68,7 +69,8 @@ def _simulated_drive(config: BenchConfig, axis: str) -> SimulatedServo:
     drive, seed = config.drive[axis], config.bench.seed
     simulation, rate_hz = drive.simulation, drive.simulation.inner_rate_hz
     parameters = DriveParameters(
-        **simulation.model_dump(exclude={"eds", "motor", "rehearse"}),
+        **simulation.model_dump(exclude={"eds", "motor", "like", "rehearse"}),
+        **power_stage_of(simulation.like),
         controller_q=_at_rate(drive.current_control.controller, rate_hz),
         controller_d=_at_rate(drive.current_control.controller_d, rate_hz),
         load=_load_of(config, axis),
@@ -92,6 +94,16 @@ def servo_of(
     """Make the simulated drive of a data sheet, or servobench's own."""
     vendor = files.vendor(announce, [node], bitrate_bit_s, motor)
     return SimulatedServo(node, motor, files.drive(parameters), seed, vendor=vendor)
+
+
+def power_stage_of(like: DriveModel | None) -> dict[str, Any]:
+    """Return the fields of DriveParameters for supply and protection."""
+    if like is None:
+        return {}
+    return {
+        "supply": None if like.supply is None else like.supply.parameters,
+        "protection": None if like.protection is None else like.protection.parameters,
+    }
 
 
 def _load_of(config: BenchConfig, axis: str) -> LoadTable | None:
@@ -141,6 +153,7 @@ def simulate(
     files: DeviceFiles,
     background: Sequence[Stream] = (),
     current_control: Sequence[Path] = (),
+    like: DriveModel | None = None,
     loads: Mapping[int, LoadTable] = MappingProxyType({}),
     load_machine: SimulatedLoadMachine | None = None,
     serials: Sequence[int] = (),
@@ -156,7 +169,7 @@ def simulate(
     spec = shared_bus(bus_spec, "use hub:NAME, or run the bench itself with --bus simulated")
     store = files.memory(nodes)
     makers = files.makers(files.vendor(announce, nodes, bitrate_bit_s, motor), serial_of_each(nodes, serials))
-    drive = files.drive(drive_parameters(current_control))
+    drive = replace(files.drive(drive_parameters(current_control)), **power_stage_of(like))
     devices = [
         SimulatedServo(node, motor, replace(drive, load=loads.get(node)), seed, store=store, vendor=vendor)
         for node, vendor in zip(nodes, makers, strict=True)

@@ -46,6 +46,10 @@ class SimulateOptions:
         ),
     ] = None
     motor: DriveMotorOption = None
+    like: Annotated[
+        Path | None,
+        valued("--like", "FILE", "Supply and protection: drive.NAME.simulation.like of a bench."),
+    ] = None
     faults: DriveFaultsOption = None
     eds: Annotated[
         Path | None, valued("--eds", "FILE", "EDS, DCF, XDD or XDC of the device to simulate.")
@@ -100,6 +104,7 @@ def simulate(asked: SimulateOptions) -> None:
     """
     from servobench.drivers.bounded_file import NamedBy
     from servobench.hil.configuration.config import load_background
+    from servobench.hil.configuration.drive_model import load_drive_model
     from servobench.hil.configuration.motor_file import LING2012
     from servobench.hil.execution.device_files import DeviceFiles
     from servobench.hil.load.simulated_load import load_tables
@@ -113,6 +118,8 @@ def simulate(asked: SimulateOptions) -> None:
     parameters = (motor_file(asked.motor, "--motor") if asked.motor else LING2012).parameters
     named_by = NamedBy("--background", "", str(asked.background))
     others = load_background(asked.background, named_by) if asked.background else ()
+
+    like = load_drive_model(asked.like, NamedBy("--like", "", str(asked.like))) if asked.like else None
 
     from servobench.hil.execution.simulated_drives import simulate as simulate_drives
     from servobench.hil.load.simulated_load import SimulatedLoadMachine
@@ -130,6 +137,7 @@ def simulate(asked: SimulateOptions) -> None:
         files=files,
         background=others,
         current_control=asked.current_control or (),
+        like=like,
         loads=load_tables(asked.load or [], nodes),
         load_machine=instrument,
         force=asked.force,

@@ -66,6 +66,7 @@ FAULTS: Final[Mapping[str, Mapping[str, Any]]] = {
     "mode_change": {"at_s": 1.2, "mode": "pv", "duration_s": 0.1},
     "ignored_commands": {"at_s": 1.2, "duration_s": 0.1, "holds": "last"},
     "refused_mapping": {"mapped": "6074"},
+    "supply_sag": {"at_s": 0.8, "duration_s": 0.1, "to_percent": 40.0},
     "repeated_emergency": {"at_s": 0.8, "code": 0x2310, "period_ms": 10, "duration_s": 0.2},
 }
 """By kind; one for every kind that there is."""

@@ -50,6 +50,7 @@ INJECTED = {
     "ignored_commands": {"ignored_commands"},
     "refused_mapping": {"refused_mapping"},
     "repeated_emergency": {"repeated_emergency"},
+    "supply_sag": {"supply_sag"},
     "signals": {"signal_noise", "signal_scale", "signal_offset", "signal_nowhere"},
 }
 

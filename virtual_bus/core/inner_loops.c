@@ -17,7 +17,7 @@ static const double PER_TURN = 1.0 / TURN_RAD;
 
    Inverter off: the diodes drive the current down against the DC link, far faster than R or the back-EMF
    would, so both are left out; back-EMF above the DC link would rectify and is not modelled. */
-static void drive_motor(InnerLoops *self, double load_nm)
+static void turn_motor(InnerLoops *self, double load_nm)
 {
     const MotorParameters *p = &self->motor;
     const Output *out = &self->state.now;
@@ -41,6 +41,40 @@ static void drive_motor(InnerLoops *self, double load_nm)
     shaft->current_q_a = keep * i_q;
     double brake_nm = self->state.braked * self->loop.brake_nm;
     advance_machine(shaft, &self->load_side, p, &self->mechanism, (Voltage){0}, load_nm, brake_nm);
+}
+
+/* A^2; the energy of a winding is half of its inductance times its current's. */
+static double square(double value) { return value * value; }
+
+/* J in the windings. */
+static double magnetic_energy(const InnerLoops *self)
+{
+    const MotorParameters *p = &self->motor;
+    const MotorState *x = &self->shaft;
+    return 0.5 * p->torque_factor
+           * (p->inductance_d_h * square(x->current_d_a) + p->inductance_q_h * square(x->current_q_a));
+}
+
+/* W that the motor turns into heat and motion. */
+static double consumed(const InnerLoops *self)
+{
+    const MotorParameters *p = &self->motor;
+    const MotorState *x = &self->shaft;
+    double heat = p->torque_factor * p->resistance_ohm * (square(x->current_d_a) + square(x->current_q_a));
+    return heat + motor_torque(p, x->current_d_a, x->current_q_a) * x->speed_rad_s;
+}
+
+/* One inner period of the motor, and of the DC link that it is fed from. */
+static void drive_motor(InnerLoops *self, double load_nm)
+{
+    if (!self->dc_link.active) {
+        turn_motor(self, load_nm);
+        return;
+    }
+    double stored = magnetic_energy(self), before = consumed(self);
+    turn_motor(self, load_nm);
+    double watts = (magnetic_energy(self) - stored) * self->motor.rate_hz + 0.5 * (before + consumed(self));
+    advance_link(&self->link, &self->dc_link, watts);
 }
 
 /* Of the encoder at the load; the rotor has its own, by which the currents turn. */
@@ -110,7 +144,10 @@ static double torque_demand(InnerLoops *self)
 {
     const Demand *demand = &self->demand;
     LoopState *state = &self->state;
-    double limit = least(demand->torque_max_nm, self->motor.torque_constant_nm_a * demand->current_max_a);
+    double current = demand->current_max_a;
+    if (self->watched.limiting != 0.0)
+        current = least(current, self->protection.continuous_a);
+    double limit = least(demand->torque_max_nm, self->motor.torque_constant_nm_a * current);
     if (demand->control == CONTROL_SPEED) {
         if (state->control != CONTROL_SPEED) {
             state->speed_demand_rad_s = state->speed_measured_rad_s;
@@ -162,6 +199,8 @@ static void current_loops(InnerLoops *self, double i_q_wanted)
     v_d -= electrical * p->decouple_q_h * i_q;
     v_q += electrical * (p->decouple_d_h * i_d + self->motor.flux_linkage_wb);
     double circle = self->motor.voltage_max_v;
+    if (self->dc_link.active)
+        circle = self->dc_link.circle_share * self->link.volts;
     double out_d = within(v_d, -circle, circle);
     double rest_q = sqrt(circle * circle - out_d * out_d);
     double out_q = within(v_q, -rest_q, rest_q);
@@ -184,6 +223,19 @@ static void switch_off(LoopState *state)
         state->controller_d[k] = state->controller_q[k] = 0.0;
 }
 
+/* Whether the power stage may be on at this tick. */
+static bool may_be_on(InnerLoops *self)
+{
+    bool on = self->demand.control != CONTROL_OFF;
+    if (!self->protection.active)
+        return on;
+    const LoopState *state = &self->state;
+    double current_a2 = square(state->current_d_measured_a) + square(state->current_q_measured_a);
+    double link_v = self->dc_link.active ? self->link.volts : self->dc_link.source_v;
+    bool tripped = watch(&self->watched, &self->protection, on, link_v, current_a2);
+    return on && !tripped;
+}
+
 /* The work of one inner period; its voltage goes out at the next one, turned on to that one's middle.
 
    Inverter off: the holding brake closes as soon as the shaft is slow, and opens with the inverter on. */
@@ -194,7 +246,7 @@ static void run_firmware(InnerLoops *self)
     state->now = state->next;
     double angle = sample(self);
     state->limited = 0.0;
-    if (demand->control == CONTROL_OFF) {
+    if (!may_be_on(self)) {
         switch_off(state);
         if (fabs(state->speed_measured_rad_s) < self->loop.rest_speed_rad_s)
             state->braked = 1.0;

@@ -6,9 +6,11 @@
 #include <stdint.h>
 
 #include "actual_values.h"
+#include "dc_link.h"
 #include "load_table.h"
 #include "mechanism.h"
 #include "motor.h"
+#include "protection.h"
 
 enum { CONTROLLER_ORDER_MAX = 8 };
 /* Inner periods: the loads of the next 16 ms are looked up at once. */
@@ -76,6 +78,10 @@ typedef struct InnerLoops {
     MotorState shaft;
     Mechanism mechanism;
     LoadSide load_side;
+    DcLink dc_link;
+    LinkState link;
+    Protection protection;
+    ProtectionState watched;
     LoopState state;
     Demand demand;
     TableLoad load;

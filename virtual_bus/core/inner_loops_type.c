@@ -282,11 +282,17 @@ static PyObject *call_state(PyObject *self, PyObject *none)
 {
     (void)none;
     InnerLoops *loops = loops_of(self);
-    char octets[sizeof loops->shaft + sizeof loops->load_side + sizeof loops->state], *end = octets;
+    char octets[sizeof loops->shaft + sizeof loops->load_side + sizeof loops->link + sizeof loops->watched
+                + sizeof loops->state];
+    char *end = octets;
     memcpy(end, &loops->shaft, sizeof loops->shaft);
     end += sizeof loops->shaft;
     memcpy(end, &loops->load_side, sizeof loops->load_side);
     end += sizeof loops->load_side;
+    memcpy(end, &loops->link, sizeof loops->link);
+    end += sizeof loops->link;
+    memcpy(end, &loops->watched, sizeof loops->watched);
+    end += sizeof loops->watched;
     memcpy(end, &loops->state, sizeof loops->state);
     return PyBytes_FromStringAndSize(octets, sizeof octets);
 }
@@ -349,6 +355,38 @@ static PyMemberDef members[] = {
     PARAMETER(mechanism, backward_more_nm),
     PARAMETER(mechanism, breakaway_more_nm),
     PARAMETER(mechanism, per_stribeck),
+    {"supplied", T_INT, PLACE(dc_link.active), 0, NULL},
+    {"feeds_back", T_INT, PLACE(dc_link.feeds_back), 0, NULL},
+    {"chopper_broken", T_INT, PLACE(dc_link.chopper_broken), 0, NULL},
+    PARAMETER(dc_link, source_v),
+    PARAMETER(dc_link, source_siemens),
+    PARAMETER(dc_link, capacitance_f),
+    PARAMETER(dc_link, chopper_siemens),
+    PARAMETER(dc_link, chopper_on_v),
+    PARAMETER(dc_link, chopper_off_v),
+    PARAMETER(dc_link, idle_w),
+    PARAMETER(dc_link, circle_share),
+    NUMBER("link_steps", dc_link.steps),
+    NUMBER("link_step_s", dc_link.step_s),
+    NUMBER("link_v", link.volts),
+    PARAMETER(link, chopping),
+    PARAMETER(link, supplied_j),
+    PARAMETER(link, chopped_j),
+    {"protected", T_INT, PLACE(protection.active), 0, NULL},
+    PARAMETER(protection, over_v),
+    PARAMETER(protection, under_v),
+    PARAMETER(protection, over_a2),
+    PARAMETER(protection, continuous_a),
+    PARAMETER(protection, continuous_a2),
+    PARAMETER(protection, overload_max_a2s),
+    PARAMETER(protection, warning_a2s),
+    PARAMETER(protection, clear_a2s),
+    {"overload_trips", T_INT, PLACE(protection.overload_trips), 0, NULL},
+    NUMBER("watch_period_s", protection.period_s),
+    PARAMETER(watched, overload_a2s),
+    PARAMETER(watched, limiting),
+    PARAMETER(watched, warning),
+    {"trip", T_INT, PLACE(watched.trip), 0, NULL},
     PARAMETER(loop, counts),
     PARAMETER(loop, counts_per_rad),
     PARAMETER(loop, rad_per_count),

@@ -76,6 +76,39 @@ class InnerLoops:
     per_stribeck: float
     """s/rad."""
 
+    # ---- DC link: parameters ----
+    supplied: int
+    """0: the link is a source without end, and nothing of this part counts."""
+    feeds_back: int
+    chopper_broken: int
+    source_v: float
+    """Also with ``supplied`` 0: what the protection then sees."""
+    source_siemens: float
+    capacitance_f: float
+    chopper_siemens: float
+    chopper_on_v: float
+    chopper_off_v: float
+    idle_w: float
+    circle_share: float
+    """The largest voltage of the motor over the link's."""
+    link_steps: float
+    """Steps of integration in a period."""
+    link_step_s: float
+
+    # ---- protection: parameters; currents are amplitudes in the motor's transform ----
+    protected: int
+    over_v: float
+    under_v: float
+    over_a2: float
+    continuous_a: float
+    continuous_a2: float
+    overload_max_a2s: float
+    """I^2 t above the continuous current, A^2 s."""
+    warning_a2s: float
+    clear_a2s: float
+    overload_trips: int
+    watch_period_s: float
+
     # ---- loops: parameters ----
     counts: float
     """Counts of the encoder per turn."""
@@ -109,6 +142,21 @@ class InnerLoops:
     load_speed_rad_s: float
     twist_rad: float
     """Rotor's angle less the load's."""
+
+    # ---- DC link and protection: state ----
+    link_v: float
+    chopping: float
+    """1: the chopper is closed."""
+    supplied_j: float
+    """Energy from the source into the link, J."""
+    chopped_j: float
+    """Energy from the link into the chopper's resistor, J."""
+    overload_a2s: float
+    limiting: float
+    """1: the current is limited to the continuous one."""
+    warning: float
+    trip: int
+    """:class:`servobench.virtual_bus.drive.power_stage.Trip`; 0 resets."""
 
     # ---- loops: state at the last tick ----
     voltage_d_v: float

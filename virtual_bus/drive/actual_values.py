@@ -50,6 +50,8 @@ def provide_slow_values(axis: SimulatedAxis) -> None:
     that is what is in force now."""
     objects, motion, units, firmware = axis.objects, axis.motion, axis.units, axis.firmware
     inner = firmware.inner
+    if firmware.parameters.supply is not None:
+        objects.dc_link.provider = lambda: round(1000.0 * inner.link_v)
     objects.position_internal.provider = lambda: wrapped(int(inner.count - units.origin))
     objects.torque_demand.provider = inner.torque_demand_told
     objects.current.provider = lambda: clipped(inner.current_q_measured_a / objects.current_unit_a, 16)

@@ -11,9 +11,11 @@ import math
 from collections.abc import Callable
 from typing import Final
 
+from servobench.drivers.canopen.error_codes import ErrorRegister
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import HaltOption
 from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.virtual_bus.drive.failures import FOLLOWING_ERROR
 from servobench.virtual_bus.drive.firmware import Firmware, InnerControl
 from servobench.virtual_bus.drive.machine import SimulatedMachine
 from servobench.virtual_bus.drive.motion_objects import (
@@ -71,9 +73,9 @@ class SimulatedAxis:
         motion: MotionObjects,
         units: UserUnits,
         machine: SimulatedMachine,
-        fail_following: Callable[[], None],
+        fail: Callable[[int, ErrorRegister], None],
     ) -> None:
-        """``fail_following``: the following error has left its window for too long."""
+        """``fail``: a fault of the drive, by its error code."""
         self.firmware = firmware
         self.objects = objects
         self.motion = motion
@@ -93,7 +95,7 @@ class SimulatedAxis:
         self.demand: float | None = None
         """Position asked of the position loop, encoder counts; None where there is none."""
         self._inner = firmware.inner
-        self._fail_following = fail_following
+        self._fail = fail
         self._following = WindowTimer()
         self._counts_per_rad = firmware.counts_per_rad
         self._gain = POSITION_BANDWIDTH * firmware.speed_bandwidth_rad_s
@@ -314,6 +316,12 @@ class SimulatedAxis:
             return slow_down_rad_s2
         return quick_stop_rad_s2 if option == HaltOption.QUICK_STOP_RAMP else STIFFEST_RAD_S2
 
+    def scale_supply(self, share: float) -> None:
+        """The source gives that share of its voltage, from the next inner tick on."""
+        volts = self.firmware.scale_supply(share)
+        if self.firmware.parameters.supply is None:
+            self.objects.dc_link.value = round(1000.0 * volts)
+
     # ---- what watches over it -------------------------------------------------------------------------
 
     @property
@@ -329,5 +337,5 @@ class SimulatedAxis:
         outside = window != NO_WINDOW and abs(self.following_error) > window
         failed = self._following.held(outside, self.period_s, self.motion.following_ms.value)
         if failed:
-            self._fail_following()
+            self._fail(FOLLOWING_ERROR, ErrorRegister.DEVICE_PROFILE)
         return failed

@@ -15,7 +15,7 @@ from servobench.drivers.sheets.dictionary import held_number
 from servobench.drivers.vendors.families import motor_objects_for, quirks_for
 from servobench.virtual_bus.device.object_dictionary import ObjectDictionary, Variable
 from servobench.virtual_bus.device.vendor_dictionary import overlay
-from servobench.virtual_bus.drive.servo_parameters import current_per_rms
+from servobench.virtual_bus.drive.power_stage import current_per_rms
 
 _BOUNDLESS: Final = 0xFFFF_FFFF
 _RAMPS: Final = (

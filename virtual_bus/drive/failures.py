@@ -4,10 +4,12 @@
 from typing import Final
 
 from servobench.drivers.canopen.error_codes import HEARTBEAT_ERROR, ErrorRegister
+from servobench.virtual_bus.core.native import InnerLoops
 from servobench.virtual_bus.device.application import CommunicationLoss, DeviceServices
 from servobench.virtual_bus.device.canopen_device import RECOVERED_FROM_BUS_OFF
 from servobench.virtual_bus.device.object_dictionary import Variable
 from servobench.virtual_bus.device.rpdo import PDO_DEADLINE
+from servobench.virtual_bus.drive.power_stage import Trip
 
 COMMUNICATION_ERROR: Final = 0x8100
 LOSS_CODES: dict[CommunicationLoss, int] = {
@@ -25,14 +27,28 @@ FOLLOWING_ERROR: Final = 0x8611
 class Failures:
     """Failures since the last fault reset. 603Fh keeps the first."""
 
-    def __init__(self, services: DeviceServices, error_code: Variable) -> None:
+    def __init__(self, services: DeviceServices, error_code: Variable, inner: InnerLoops) -> None:
         self._services = services
         self._error_code = error_code
+        self._inner = inner
         self._codes: set[int] = set()
+        self._trip = Trip.NONE
 
     def forget(self) -> None:
         """Power-on: the device engine has forgotten them too."""
         self._codes.clear()
+        self._forget_trip()
+
+    def new_trip(self) -> Trip:
+        """What the protection has found since it was asked last; NONE: nothing new."""
+        if self._inner.trip == self._trip:
+            return Trip.NONE
+        self._trip = Trip(self._inner.trip)
+        return self._trip
+
+    def _forget_trip(self) -> None:
+        """The power stage may be on again; what is still there trips once more."""
+        self._inner.trip = self._trip = Trip.NONE
 
     def add(self, code: int, register: ErrorRegister) -> None:
         """One more; it is reported."""
@@ -50,6 +66,7 @@ class Failures:
 
     def clear(self) -> None:
         """Fault reset: all of them are reported as gone."""
+        self._forget_trip()
         if not self._error_code.value:
             return
         self._error_code.value = 0

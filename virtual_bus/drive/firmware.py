@@ -25,6 +25,7 @@ from servobench.virtual_bus.drive.current_bandwidth import current_bandwidth_hz
 from servobench.virtual_bus.drive.current_controller import check_controller, fill_controllers
 from servobench.virtual_bus.drive.load_table import LoadTable
 from servobench.virtual_bus.drive.mechanism import fill_mechanism, steps_in
+from servobench.virtual_bus.drive.power_stage import Protection, Supply, fill_power_stage
 
 _STEP_ANGLE_MAX = 0.25
 """Largest (R/L + electrical speed) * step, rad: keeps the error of a step below 1e-5 of the signal."""
@@ -106,6 +107,10 @@ class FirmwareParameters:
     resistance_factor: float = 1.0
     """The turning motor's resistance beside the one that the drive was set for."""
     inductance_factor: float = 1.0
+    supply: Supply | None = None
+    """None: a DC link without end at the motor's ``dc_bus_voltage_v``."""
+    protection: Protection | None = None
+    """None: nothing of the power stage is watched."""
 
     def __post_init__(self) -> None:
         """Error: ValueError for a setting with which the loops could not work."""
@@ -146,6 +151,7 @@ class Firmware:
         self.speed_bandwidth_rad_s = math.tau * parameters.speed_bandwidth_hz
         self.inner.rate_hz, self.inner.motion_ticks = parameters.inner_rate_hz, self.motion_ticks
         fill_machine(self.inner, self._turning(), self.tick_s)
+        fill_power_stage(self.inner, motor, self.tick_s, parameters.supply, parameters.protection)
         fill_controllers(self.inner, parameters.controller_d, parameters.controller_q)
         self._set_gains()
         self._set_limits()
@@ -249,6 +255,14 @@ class Firmware:
     def hold_encoder(self, held: bool) -> None:
         """``held``: the encoder's line is broken, and from the next tick on its count stands still."""
         self.inner.encoder_held = held
+
+    def scale_supply(self, share: float) -> float:
+        """Set the source to that share of its voltage from the next tick on; return it, V."""
+        inner, supply = self.inner, self.parameters.supply
+        inner.source_v = share * (self.motor.dc_bus_voltage_v if supply is None else supply.voltage_v)
+        if supply is None:
+            inner.voltage_max_v = share * self.motor.voltage_max_v
+        return inner.source_v
 
     @property
     def speed_rad_s(self) -> float:

@@ -1,9 +1,12 @@
 """A mode of operation of the drive, and halt: bit 8 of the controlword and 605Dh."""
 
+import math
+
 from mypy_extensions import mypyc_attr
 
 from servobench.drivers.cia402.profile import Control, Status
 from servobench.virtual_bus.drive.axis import SimulatedAxis
+from servobench.virtual_bus.drive.power_state import MotorAction
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
@@ -41,6 +44,12 @@ class OperationMode:
     def status_bits(self) -> int:
         """Statusword bits 10, 12 and 13 of this mode while it is followed."""
         return 0
+
+    def stop_rad_s2(self, motion: MotorAction) -> float:
+        """Deceleration of a stop."""
+        if motion is MotorAction.CURRENT_LIMIT:
+            return math.inf
+        return self.quick_stop_rad_s2() if motion is MotorAction.QUICK_STOP_RAMP else self.slow_down_rad_s2()
 
     def slow_down_rad_s2(self) -> float:
         """Deceleration of the slow down ramp of the option codes (605Ah..605Eh)."""

@@ -5,7 +5,6 @@ CanopenDevice (CiA 301)  --  ServoApplication  --  PowerStateMachine   (when may
                                     +---------- --  Firmware            (inner loops, motor)
 """
 
-import math
 from collections.abc import Callable
 from functools import partial
 from typing import Final
@@ -33,13 +32,14 @@ from servobench.virtual_bus.drive import actual_values
 from servobench.virtual_bus.drive.actual_values import INTERNAL_LIMIT_ACTIVE, ActualValues
 from servobench.virtual_bus.drive.axis import REST_S, SimulatedAxis
 from servobench.virtual_bus.drive.deaf_mode import DeafMode, set_points
-from servobench.virtual_bus.drive.failures import COMMUNICATION_ERROR, FOLLOWING_ERROR, LOSS_CODES, Failures
+from servobench.virtual_bus.drive.failures import COMMUNICATION_ERROR, LOSS_CODES, Failures
 from servobench.virtual_bus.drive.firmware import Firmware, InnerControl
 from servobench.virtual_bus.drive.lacks import take_away
 from servobench.virtual_bus.drive.machine import SimulatedMachine
 from servobench.virtual_bus.drive.motion_objects import MotionObjects
 from servobench.virtual_bus.drive.operation_mode import OperationMode
 from servobench.virtual_bus.drive.operation_modes import MODES
+from servobench.virtual_bus.drive.power_stage import TRIP_CODES, Trip
 from servobench.virtual_bus.drive.power_state import MotorAction, PowerStateMachine
 from servobench.virtual_bus.drive.servo_objects import ServoObjects
 from servobench.virtual_bus.drive.servo_parameters import DriveParameters, device_options
@@ -69,6 +69,8 @@ class ServoApplication(Application):
         self._revision = -1
         self._base_status = 0
         self._controlword = 0
+        self._protected = drive.protection is not None
+        self._wake_ns = _WAKE_NS if drive.protection is None else _WAKE_WHILE_STOPPING_NS
         self._deafen: Callable[[OperationMode], DeafMode] | None = None
         """Makes a mode one that follows no set-points, while that is so."""
         self._task: OperationMode | None = None
@@ -80,21 +82,20 @@ class ServoApplication(Application):
         self.objects = objects = ServoObjects(dictionary, self.motor, self.drive, frozenset(MODES))
         motion = MotionObjects(dictionary, self.motor, self.drive)
         self.power = PowerStateMachine(objects.option)
-        self._failures = Failures(services, objects.error_code)
+        self._failures = Failures(services, objects.error_code, self.firmware.inner)
         counts = self.drive.encoder_counts_per_revolution
         makers = self.drive.makers_units
         self.units = UserUnits(dictionary, counts, lambda: self._motion is MotorAction.OFF, makers)
-        self.machine = SimulatedMachine(dictionary, counts, self._encoder_count)
-        self.axis = SimulatedAxis(
-            self.firmware, objects, motion, self.units, self.machine, self._fail_following
-        )
+        self.machine = SimulatedMachine(dictionary, counts, lambda: self.firmware.inner.count)
+        self.axis = SimulatedAxis(self.firmware, objects, motion, self.units, self.machine, self.fail)
         self._modes: dict[int, OperationMode] = {int(mode): make(self.axis) for mode, make in MODES.items()}
         self._mode = self._modes[objects.mode.default]
         self._actual = ActualValues(self.firmware, objects, self.units)
         objects.controlword.on_write = self._on_controlword
         motion.data_record.on_write = lambda _value: self._mode.take_data_record()
         objects.mode.on_write = self._on_mode
-        objects.target_torque.on_write = objects.torque_offset.on_write = self._on_torque
+        for variable in (objects.target_torque, objects.torque_offset):
+            variable.on_write = lambda _value: self._mode.take_torque()
         for variable in (motion.target_velocity, motion.velocity_offset):
             variable.on_write = lambda _value: self._mode.take_velocity()
         for variable in (motion.target_position, motion.position_offset):
@@ -122,7 +123,7 @@ class ServoApplication(Application):
                 if not variable.default:  # left open by a vendor's dictionary; with 0 the drive cannot move
                     variable.default = default
                     variable.restore(self._services.node_id)
-        self.wake_at = Instant(now + _WAKE_NS)
+        self.wake_at = Instant(now + self._wake_ns)
         self._failures.forget()
         self.hear_again()
         self.power.restart()
@@ -152,7 +153,7 @@ class ServoApplication(Application):
                 self._act()
             self.wake_at = Instant(now + _WAKE_WHILE_STOPPING_NS)
         else:
-            self.wake_at = Instant(now + _WAKE_NS)
+            self.wake_at = Instant(now + self._wake_ns)
         self._refresh()
 
     def _run_mode(self, now: Instant) -> bool:
@@ -179,6 +180,19 @@ class ServoApplication(Application):
     def _refresh(self) -> None:
         """The cyclic values as of the last inner tick."""
         self._actual.refresh(self._base_status)
+        if self._protected:
+            self._tell_protection()
+
+    def _tell_protection(self) -> None:
+        """A warning, and a trip, which has opened the power stage by itself."""
+        if self.firmware.inner.warning:
+            self.objects.statusword.value |= Status.WARNING
+        if (trip := self._failures.new_trip()) is not Trip.NONE:
+            self.fail(*TRIP_CODES[trip])
+            if trip.opens:
+                self.power.cut_torque()
+                self._act()
+                self._refresh()
 
     def _act(self) -> None:
         """Let the inner loops and the statusword follow the state machine."""
@@ -215,14 +229,7 @@ class ServoApplication(Application):
             self._mode.begin(self._controlword)
         else:
             self.axis.demand = None
-            self.firmware.ramp_to_speed(0.0, self._deceleration_rad_s2(motion))
-
-    def _deceleration_rad_s2(self, motion: MotorAction) -> float:
-        if motion is MotorAction.CURRENT_LIMIT:
-            return math.inf
-        mode = self._mode
-        quick = motion is MotorAction.QUICK_STOP_RAMP
-        return mode.quick_stop_rad_s2() if quick else mode.slow_down_rad_s2()
+            self.firmware.ramp_to_speed(0.0, self._mode.stop_rad_s2(motion))
 
     def _on_controlword(self, controlword: int) -> None:
         last, self._controlword = self._controlword, controlword
@@ -254,9 +261,6 @@ class ServoApplication(Application):
             self._mode.begin(self._controlword)
             self._show_other_mode()
 
-    def _on_torque(self, _value: int) -> None:
-        self._mode.take_torque()
-
     def tick_after(self, now: Instant) -> Instant:
         return self.firmware.tick_after(now)
 
@@ -275,9 +279,6 @@ class ServoApplication(Application):
         self.axis.take_rating()
         self._actual.take_units()
         self._take_limits()
-
-    def _encoder_count(self) -> float:
-        return self.firmware.inner.count
 
     def _take_guards(self) -> None:
         """A mode that acts on its set-points alone runs by periods while the axis has an end."""
@@ -299,9 +300,6 @@ class ServoApplication(Application):
             power.revision += 1
             self._act()
             self._refresh()
-
-    def _fail_following(self) -> None:
-        self.fail(FOLLOWING_ERROR, ErrorRegister.DEVICE_PROFILE)
 
     def fail(self, code: int, register: ErrorRegister) -> None:
         """A fault of the drive: EMCY, 603Fh, and arrow 13 with the reaction of 605Eh.

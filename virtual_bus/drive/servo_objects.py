@@ -34,7 +34,8 @@ from servobench.virtual_bus.drive.load_object import (
     LOAD_TORQUE_SUB,
     LoadCourse,
 )
-from servobench.virtual_bus.drive.servo_parameters import DriveParameters, current_per_rms
+from servobench.virtual_bus.drive.power_stage import current_per_rms
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 
 I8, I16, I32 = DataType.INTEGER8, DataType.INTEGER16, DataType.INTEGER32
 U8, U16, U32 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32

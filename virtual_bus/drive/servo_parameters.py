@@ -1,12 +1,11 @@
 """How a simulated drive is built and set, beside the motor on its shaft."""
 
-import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from servobench.design.motor import PmsmParameters, Transform
+from servobench.design.motor import PmsmParameters
 from servobench.drivers.canopen.cob_ids import NO_RTR
 from servobench.drivers.canopen.objects301 import Cia301, mapping_word
 from servobench.drivers.cia402.objects402 import Object
@@ -96,11 +95,6 @@ class DriveParameters(FirmwareParameters):
         if self.speed_max_rad_s is not None:
             return self.speed_max_rad_s
         return motor.voltage_max_v / (motor.pole_pairs * motor.flux_linkage_wb)
-
-
-def current_per_rms(motor: PmsmParameters) -> float:
-    """The amplitude in the motor's transform of 1 A rms of a phase."""
-    return math.sqrt(3.0 if motor.transform is Transform.POWER_INVARIANT else 2.0)
 
 
 def _ns(value_us: float) -> int:

@@ -19,8 +19,9 @@ from servobench.design.motor_figures import motor_figures
 from servobench.drivers.cia402.objects402 import Object, Unit, unit_word
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.virtual_bus.device.object_dictionary import Variable
+from servobench.virtual_bus.drive.power_stage import current_per_rms
 from servobench.virtual_bus.drive.servo import SimulatedServo
-from servobench.virtual_bus.drive.servo_parameters import DriveParameters, current_per_rms
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from servobench.virtual_bus.drive.user_units import POSITION_POLARITY, VELOCITY_POLARITY
 
 _COUNTS: Final = (4000, 4096, 8192, 10_000, 16_384, 65_536, 131_072, 1_048_576)

@@ -25,6 +25,7 @@ This one the same, but for frames: PDOs, wherever one carries the object.
                      "following_error", "encoder_loss" or "under_voltage";
                      of encoder_loss: detected_after_ms = 2, duration_s = 0.1
     [[safe_torque_off]]  duration_s                                  when
+    [[supply_sag]]   to_percent, duration_s                          when
     [[clock_step]]   step_us, or step_min_us and step_max_us         when
     [[clock_drift]]  drift_ppm; from_s, until_s
     [[slow_drive]]   sdo_delay_us, tpdo_delay_us, boot_s, or a _min and _max of each

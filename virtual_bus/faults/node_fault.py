@@ -65,6 +65,9 @@ class StruckNode(Protocol):
     def open_sto(self, opened: bool, now: Instant) -> None:
         """Its input for safe torque off."""
 
+    def scale_supply(self, share: float, now: Instant) -> None:
+        """The drive's source gives that share of its voltage."""
+
     def take_mode(self, mode: int, now: Instant) -> None:
         """The drive takes that mode of operation by itself."""
 

@@ -30,6 +30,7 @@ from servobench.virtual_bus.faults.kinds.safe_torque_off import SafeTorqueOff
 from servobench.virtual_bus.faults.kinds.signal import SignalFault
 from servobench.virtual_bus.faults.kinds.silence import Silence
 from servobench.virtual_bus.faults.kinds.slow_drive import SlowDrive
+from servobench.virtual_bus.faults.kinds.supply_sag import SupplySag
 from servobench.virtual_bus.faults.log_kind import LogKind
 
 _ALL: Final[tuple[type[FaultTable], ...]] = (
@@ -59,6 +60,7 @@ _ALL: Final[tuple[type[FaultTable], ...]] = (
     FullQueue,
     LinkDown,
     ReceiveOverflow,
+    SupplySag,
 )
 TABLES: Final = {table.kind: table for table in _ALL}
 """By the name of a plan's tables."""

@@ -280,6 +280,10 @@ class FaultyDevice:
         """Its input for safe torque off opens, or closes again."""
         self._befall_drive(lambda drive: drive.machine.switch_sto(int(opened)), now)
 
+    def scale_supply(self, share: float, now: Instant) -> None:
+        """Its source gives that share of its voltage."""
+        self._befall_drive(lambda drive: drive.axis.scale_supply(share), now)
+
     def take_mode(self, mode: int, now: Instant) -> None:
         """It takes that mode of operation by itself."""
         self._befall_drive(lambda drive: drive.take_mode(mode), now)

@@ -1,0 +1,43 @@
+/* Trips open the power stage at the tick that sees them, as a comparator beside the processor does; the drive
+   tells of them afterwards. An overload does not: I^2 t above the continuous current adds up, and when the sum
+   is full the drive fails, or limits the current to the continuous one until the sum has fallen. */
+#include "protection.h"
+
+#include "limits.h"
+
+static Trip first_trip(const Protection *p, bool on, double link_v, double current_a2)
+{
+    if (link_v > p->over_v)
+        return TRIP_OVER_VOLTAGE;
+    if (!on)
+        return TRIP_NONE;
+    if (link_v < p->under_v)
+        return TRIP_UNDER_VOLTAGE;
+    return current_a2 > p->over_a2 ? TRIP_OVER_CURRENT : TRIP_NONE;
+}
+
+static void add_up(ProtectionState *state, const Protection *p, double current_a2)
+{
+    double sum = state->overload_a2s + (current_a2 - p->continuous_a2) * p->period_s;
+    state->overload_a2s = within(sum, 0.0, p->overload_max_a2s);
+    state->warning = state->overload_a2s >= p->warning_a2s ? 1.0 : 0.0;
+    if (state->overload_a2s >= p->overload_max_a2s) {
+        state->limiting = 1.0;
+        if (p->overload_trips && state->trip == TRIP_NONE)
+            state->trip = TRIP_OVERLOAD;
+    } else if (state->overload_a2s < p->clear_a2s) {
+        state->limiting = 0.0;
+    }
+}
+
+bool watch(ProtectionState *state, const Protection *p, bool on, double link_v, double current_a2)
+{
+    add_up(state, p, current_a2);
+    if (state->trip == TRIP_NONE || state->trip == TRIP_OVERLOAD) {
+        Trip found = first_trip(p, on, link_v, current_a2);
+        if (found == TRIP_NONE)
+            return false;
+        state->trip = found;
+    }
+    return true;
+}

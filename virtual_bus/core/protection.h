@@ -1,0 +1,30 @@
+/* What the power stage watches by itself: the link's voltage, the current, and how long it has been large. */
+#ifndef CORE_PROTECTION_H
+#define CORE_PROTECTION_H
+
+#include <stdbool.h>
+
+typedef enum Trip { TRIP_NONE, TRIP_OVER_VOLTAGE, TRIP_UNDER_VOLTAGE, TRIP_OVER_CURRENT, TRIP_OVERLOAD } Trip;
+
+typedef struct Protection {
+    int active;
+    double over_v, under_v, over_a2; /* V, V, A^2 */
+    double continuous_a, continuous_a2;
+    double overload_max_a2s; /* of I^2 t above the continuous current */
+    double warning_a2s;
+    double clear_a2s;   /* below it the continuous current is the limit no more */
+    int overload_trips; /* else the current is limited to the continuous one */
+    double period_s;
+} Protection;
+
+typedef struct ProtectionState {
+    double overload_a2s;
+    double limiting; /* 1: to the continuous current */
+    double warning;
+    int trip; /* since the last reset: the first that opened the power stage, or an overload */
+} ProtectionState;
+
+/* At a tick, with the square of the measured current's amplitude, A^2; true if the power stage must be off. */
+bool watch(ProtectionState *state, const Protection *p, bool on, double link_v, double current_a2);
+
+#endif
