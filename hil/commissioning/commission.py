@@ -18,6 +18,7 @@ from servobench.drivers.sheets.dictionary import LoadedDictionary, load_dictiona
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration
 from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.drivers.written_file import DiskFull, writing
+from servobench.hil.commissioning.certificate import write_certificate
 from servobench.hil.commissioning.dialog import Dialog, EmergencyStop, Terminal, say
 from servobench.hil.commissioning.drive_left import DriveLeft
 from servobench.hil.commissioning.files import set_objects, write_files
@@ -180,12 +181,13 @@ def _write(session: Session, result: Commissioned) -> None:
                 write_files(session)
     except (BadInput, DiskFull) as error:
         result.error = result.error or error
-    try:
-        with writing("--out", request.out):
-            write_report(request, result)
-    except (BadInput, DiskFull) as error:
-        result.error = result.error or error
-        session.dialog.tell(f"the report is not whole: {error}")
+    for name, write in (("report", write_report), ("certificate", write_certificate)):
+        try:
+            with writing("--out", request.out):
+                write(request, result)
+        except (BadInput, DiskFull) as error:
+            result.error = result.error or error
+            session.dialog.tell(f"the {name} is not whole: {error}")
     for sentence in result.left.sentences(request):
         session.dialog.tell(sentence)
 

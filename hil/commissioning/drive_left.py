@@ -3,12 +3,13 @@ the objects that it wrote, each by name, in decimal and with its unit.
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 from servobench.hil.commissioning.findings import Findings
 from servobench.hil.commissioning.request import CommissionRequest
 from servobench.hil.restoring.restore import Restoration
 from servobench.hil.reviewing.trace.node_objects import NodeObjects
+from servobench.hil.reviewing.trace.object_value import ObjectValue
 
 
 @dataclass(slots=True)
@@ -122,6 +123,32 @@ def changed_objects(findings: Findings) -> list[dict[str, Any]]:
                 "set": value.hex(),
                 "before_told": held.shown if before else "",
                 "set_told": holds.shown,
+                "before_decimal": _decimal(held, before),
+                "set_decimal": _decimal(holds, value),
             }
         )
     return changes
+
+
+_TICKS: Final = {
+    (0x1006, 0): "us",
+    (0x100C, 0): "ms",
+    (0x1017, 0): "ms",
+    **{(base + number, 3): "x 100 us" for base in (0x1400, 0x1800) for number in range(8)},
+    **{(base + number, 5): "ms" for base in (0x1400, 0x1800) for number in range(8)},
+}
+"""Units of times that CiA 301 fixes."""
+
+
+def _decimal(value: ObjectValue, data: bytes) -> str:
+    """The number in decimal with its unit; SI first where it is known. Identifiers have their hexadecimal
+    form behind it."""
+    if not data:
+        return "not read"
+    if not isinstance(value.raw, int):
+        return value.shown
+    unit = _TICKS.get((value.index, value.sub), "")
+    text = f"{value.raw} {unit}".rstrip()
+    if value.si is not None:
+        text = f"{value.si:.6g} {value.unit} ({value.raw})"
+    return f"{text} ({value.raw:X}h)" if value.hexadecimal and value.raw > 9 else text

@@ -16,6 +16,7 @@ from servobench.drivers.errors import BadInput
 from servobench.drivers.printable import printable
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.vendors.motor_objects import POLE_PAIRS_MAX
+from servobench.hil.commissioning.laboratory import Laboratory
 from servobench.hil.configuration.config import Foreign, Guard
 from servobench.hil.configuration.config_files import Section, load_file
 from servobench.hil.configuration.motor_file import LING2012, MotorFile
@@ -234,6 +235,8 @@ class CommissionRequest:
     """Accept a drive that has neither 1016h nor node guarding: within the limits of :func:`cautious`."""
     allow: tuple[Foreign, ...] = Guard().allow
     """Frames that others may send, as in ``[guard]`` of a bench."""
+    laboratory: Laboratory = field(default_factory=Laboratory)
+    """Of the certificate."""
 
     @property
     def heartbeat_ms(self) -> int:

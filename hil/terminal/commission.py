@@ -80,6 +80,11 @@ class CommissionOptions:
         ),
     ] = False
     allow: AllowOption = None
+    operator: Annotated[str | None, valued("--operator", "NAME", "Operator, for the certificate.")] = None
+    site: Annotated[str | None, valued("--site", "PLACE", "Place, for the certificate.")] = None
+    lab: Annotated[
+        Path | None, valued("--lab", "FILE", "TOML with operator, site and order; options go before it.")
+    ] = None
     as_json: JsonOption = False
 
 
@@ -96,6 +101,7 @@ def commission(asked: CommissionOptions) -> None:
       hil commission --bus simulated --node 1 --rehearse 7 --out lab --yes
       hil commission --bus socketcan:can0 --node 1 --out lab   # a real drive
     """
+    from servobench.hil.commissioning.laboratory import load_laboratory
     from servobench.hil.commissioning.request import CommissionRequest, Nameplate, load_nameplate
 
     request = CommissionRequest(
@@ -112,6 +118,7 @@ def commission(asked: CommissionOptions) -> None:
         heartbeat_timeout_ms=asked.heartbeat_timeout_ms,
         unwatched=asked.unwatched,
         allow=allowed(asked.allow),
+        laboratory=load_laboratory(asked.lab, asked.operator, asked.site),
     )
     from servobench.hil.commissioning.commission import run_command
 

@@ -186,6 +186,9 @@ class Rig:
         """How the drive was left by figures.json; terminal, report.md and report.html say the same."""
         out = self.request.out
         figures = json.loads((out / "figures.json").read_text())
+        filed = json.loads((out / "certificate.json").read_text())
+        assert filed["verdict"] == figures["verdict"]
+        assert (out / "certificate.pdf").read_bytes().startswith(b"%PDF-")
         assert figures["error"] == str(result.error)
         left: dict[str, Any] = figures["left"]
         assert self.said[-len(left["text"]) :] == left["text"]
