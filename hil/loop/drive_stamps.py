@@ -130,7 +130,8 @@ class DriveStamps:
         """By how much the map may misplace a change with this stamp, which shows its own steps."""
         clock, changes = self.clock, self._changes
         changes.add(clock.since_last(device_ns), clock.resolution)
-        return clock.error_ns + max(0, changes.step - clock.resolution)
+        all_ns = 0 if self._echoes_late else self._echo_error  # of the instants of all SYNCs, in no residual
+        return clock.error_ns + max(0, changes.step - clock.resolution) + all_ns
 
     def learn(self, device_ns: int, mark: SyncMark, on_bus_at: Instant) -> None:
         """Take a stamp that can only be of the SYNC of ``mark``."""

@@ -1,21 +1,14 @@
 """Which SYNC a reading without a stamp answers: by its usual delay, and by what is uneven in SYNCs."""
 
-from typing import Final
-
 from servobench.drivers.exchange import Reading
 from servobench.drivers.timebase import NEVER, NS_PER_US, Duration, Instant
 from servobench.hil.loop.attribution import HELD_MAX, Health, Question, Tell
 from servobench.hil.loop.kept_order import KeptOrder, PlacedInOrder
 from servobench.hil.loop.order_memory import UNTIDY_FOR, Copies, SampleDelays, Unanswered, Unconfirmed
-from servobench.hil.loop.order_question import OrderQuestion
+from servobench.hil.loop.order_question import ASK_AGAIN_AFTER, STRAYS_MAX, OrderQuestion
 from servobench.hil.loop.samples import Sample
 from servobench.hil.loop.syncs import REMEMBERED, STAMPED_LATE, SURPLUS, SyncLog, SyncMark
 from servobench.hil.loop.usual_delays import FIRST, UsualDelays, middle_of
-
-ASK_AGAIN_AFTER: Final = 100
-"""SYNCs from a question that had no answer until it is put again."""
-STRAYS_MAX: Final = 4
-"""Readings in a row with an unusual delay: so many are no frames that were held up."""
 
 
 class OrderAttribution:
@@ -25,12 +18,9 @@ class OrderAttribution:
         readings         |r      |r                 |r       |s
         placed           1       2                  4        s, a stray: its delay is unusual
 
-    A reading answers the SYNC that ended as long before it as those of the last readings did, over whole
-    periods too: the calibration has taught the delay. Where one is missing, it was lost, or the delay has
-    grown by whole periods; where several in a row come at another phase, the delay is another. Which SYNCs
-    they answer is then a *question*, and readings are uncertain. What is uneven in the SYNCs answers it
-    (:mod:`servobench.hil.loop.order_evidence`), and where that does not suffice a *probe*, a SYNC that goes
-    out a quarter of a period late. Where none can, the delay is taken for what it was if it looks so.
+    A reading answers the SYNC that ended as long before it as usual. Where one is missing, it was lost, or
+    the delay has grown; where several come at another phase, it is another. That is a *question*, answered by
+    unevenness of SYNCs, by a *probe*, one that goes out late, or by delays that look as before.
     """
 
     def __init__(self, syncs: SyncLog, period: Duration, transit: Duration, tell: Tell) -> None:
@@ -83,7 +73,17 @@ class OrderAttribution:
         self._untidy -= self._untidy > 0
         again = copy and self.copies.told_by_stamps
         self.health.duplicates += again
-        return None if again else self._place(reading, copy)
+        if surplus := copy and self._is_surplus(reading):
+            self._note_untidy(copy)
+        return None if again or surplus else self._place(reading, copy)
+
+    def _is_surplus(self, copy: Reading) -> bool:
+        """Whether a copy is one: all SYNCs have their readings, and a shaft that is not at rest told it."""
+        latest = Instant(copy.received_at - self._transit)
+        mark = self._syncs.newest_before(latest)
+        if mark is None or not (self._sure and self.copies.told_by_speeds) or self._open.may_come(mark):
+            return False
+        return mark.number <= self._answered and not self._syncs.may_precede(latest, mark)
 
     def _place(self, reading: Reading, copy: bool) -> Sample | None:
         received_at, usual = reading.received_at, self._usual

@@ -116,13 +116,19 @@ class Copies:
             return False
         return len({stamp for _, stamp in self._told}) > COPIES // 2
 
+    @property
+    def told_by_speeds(self) -> bool:
+        """Whether what is held is hardly told by chance: a shaft at rest has told nothing else."""
+        return not (self.before or math.isnan(self._told[-1][0]))
+
     def holds(self, reading: Reading) -> bool:
-        """Whether one of the last readings told the same; it is remembered."""
+        """Whether one of the last readings told the same; else it is remembered."""
         told = reading.velocity_rad_s, reading.device_time_ns
         self.before = self._held
         held = self._held = told in self._told
-        self._told[self._place] = told
-        self._place = (self._place + 1) % COPIES
+        if not held:
+            self._told[self._place] = told
+            self._place = (self._place + 1) % COPIES
         return held
 
 

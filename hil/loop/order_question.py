@@ -21,6 +21,10 @@ from servobench.hil.loop.usual_delays import (
     readings_to_resemble,
 )
 
+ASK_AGAIN_AFTER: Final = 100
+"""SYNCs from a question that had no answer until it is put again."""
+STRAYS_MAX: Final = 4
+"""Readings in a row with an unusual delay: so many are no frames that were held up."""
 EVIDENCE_MIN: Final = 2
 """Readings that may tell, where the spread of delays is known;"""
 EVIDENCE_UNUSUAL: Final = 6

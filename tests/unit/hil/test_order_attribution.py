@@ -5,13 +5,9 @@ import pytest
 from servobench.drivers.timebase import NS_PER_US, Instant
 from servobench.drivers.wire.frame_port import EchoBasis
 from servobench.hil.loop.attribution import HELD_MAX
-from servobench.hil.loop.order_attribution import (
-    ASK_AGAIN_AFTER,
-    STRAYS_MAX,
-    OrderAttribution,
-)
+from servobench.hil.loop.order_attribution import OrderAttribution
 from servobench.hil.loop.order_memory import HELD_UP
-from servobench.hil.loop.order_question import PROBE_AFTER
+from servobench.hil.loop.order_question import ASK_AGAIN_AFTER, PROBE_AFTER, STRAYS_MAX
 from servobench.hil.loop.residuals import HIDDEN_PARTS
 from servobench.hil.loop.samples import Sample
 from servobench.hil.loop.syncs import SURPLUS, SyncLog
