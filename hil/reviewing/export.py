@@ -255,10 +255,19 @@ def _begin(asammdf: Any, sink: Any, axis: str, mine: pa.Table, columns: list[Col
                 name=f"{axis}.{column.name}",
                 comment=told,
                 invalidation_bits=invalid,
+                conversion=_words(column),
             )
         )
     number: int = sink.append(signals, acq_name=axis, comment=axis, common_timebase=True)
     return number
+
+
+def _words(column: Column) -> dict[str, Any] | None:
+    """Value to text, for viewers of MF4: what a code stands for; None: its numbers are no codes."""
+    if not column.codes:
+        return None
+    words = {f"text_{code}": text.encode() for code, text in enumerate(column.codes)}
+    return {**{f"val_{code}": code for code in range(len(column.codes))}, **words, "default": b""}
 
 
 def _pieces(mine: pa.Table, columns: list[Column]) -> list[tuple[NDArray[Any], NDArray[np.bool_] | None]]:

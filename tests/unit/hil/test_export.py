@@ -124,7 +124,7 @@ def test_mf4_read_by_asammdf(run: Path) -> None:
         for number, axis in enumerate(AXES):
             mine = table[table["axis"] == number]
             for name in ("velocity_rad_s", "delay_ns", "fate", "command_raw", "certain", "sampled_at"):
-                signal = again.get(f"{axis}.{name}", ignore_invalidation_bits=True)
+                signal = again.get(f"{axis}.{name}", ignore_invalidation_bits=True, raw=True)
                 invalid = signal.invalidation_bits
                 gone = np.zeros(len(mine), bool) if invalid is None else np.asarray(invalid, bool)
                 np.testing.assert_array_equal(gone, mine[name].isna(), err_msg=name)
@@ -134,6 +134,10 @@ def test_mf4_read_by_asammdf(run: Path) -> None:
                     err_msg=name,
                 )
                 np.testing.assert_array_equal(signal.timestamps, mine["due_at"] / 1e9)
+            words = dict(enumerate(("sample", "lost", "late", "stale", "missed")))
+            fates = again.get(f"{axis}.fate").samples.tolist()
+            assert [fate.decode() for fate in fates] == [words[code] for code in mine["fate"]]
+            assert {phase.decode() for phase in again.get(f"{axis}.phase").samples.tolist()} == {"run"}
         assert again.get("left.velocity_rad_s").unit == "rad/s"
         assert "bench: two" in again.header.comment
 
