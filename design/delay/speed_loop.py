@@ -103,10 +103,27 @@ def speed_model(
     ``current_bandwidth_hz``: bandwidth of the drive's current loop; None: the winding's own, R/L, as in
     [Ling2012].
     """
-    rate = current_rate_rad_s(motor, current_bandwidth_hz)
-    J = motor.inertia_kg_m2
-    A = np.array([[-rate, 0.0], [motor.torque_constant_nm_a / J, -motor.viscous_friction_nm_s / J]])
-    B1, B2, C = np.array([rate, 0.0]), np.array([0.0, 1.0 / J]), np.array([0.0, 1.0])
+    return model_of(
+        current_rate_rad_s(motor, current_bandwidth_hz),
+        motor.torque_constant_nm_a,
+        motor.inertia_kg_m2,
+        motor.viscous_friction_nm_s,
+        integral=integral,
+    )
+
+
+def model_of(
+    rate_rad_s: float,
+    torque_constant_nm_a: float,
+    inertia_kg_m2: float,
+    viscous_friction_nm_s: float,
+    *,
+    integral: bool,
+) -> SpeedModel:
+    """Return the model of these: a, K_t, J and B_0."""
+    J = inertia_kg_m2
+    A = np.array([[-rate_rad_s, 0.0], [torque_constant_nm_a / J, -viscous_friction_nm_s / J]])
+    B1, B2, C = np.array([rate_rad_s, 0.0]), np.array([0.0, 1.0 / J]), np.array([0.0, 1.0])
     scale = np.array([0.05, 1.0])
     if integral:
         A = np.block([[A, np.zeros((2, 1))], [np.array([[0.0, 1.0, 0.0]])]])

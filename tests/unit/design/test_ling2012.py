@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -74,6 +75,21 @@ def test_row_of_table_2(units: Units) -> None:
         assert row["lmi_delay_s"] == pytest.approx(0.045094, abs=2e-5)
         assert row["exact_speed_feedback_delay_s"] == pytest.approx(0.049388, abs=1e-5)
         assert row["exact_delay_s"] == pytest.approx(0.067381, abs=1e-5)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("units", list(Units))
+def test_the_documentation_has_the_figures_of_the_command(units: Units) -> None:
+    row = _row(units)
+    begin = "| 4.0 | 100 | 49 |" if units is Units.PUBLISHED else "| 4.0 | 10.472 |"
+    page = Path("docs/papers/ling2012.md").read_text(encoding="utf-8")
+    (line,) = (each for each in page.splitlines() if each.startswith(begin))
+    printed = [cell.strip(" *") for cell in line.removeprefix(begin).strip("|").split("|")]
+    delays = ("ccl_delay_s", "lmi_delay_s", "exact_speed_feedback_delay_s", "exact_delay_s")
+    digits = 2 if units is Units.PUBLISHED else 3
+    assert printed[:4] == [f"{1e3 * row[key]:.{digits}f}" for key in delays]
+    gains = [float(gain) for gain in printed[4].split(",")]
+    assert gains == pytest.approx(row["gain"], rel=2e-3)
 
 
 def test_every_disagreement_is_said() -> None:

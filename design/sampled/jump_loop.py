@@ -1,0 +1,248 @@
+"""A loop under random losses, as a Markov jump linear system: decay in mean square, mean and variance.
+
+    mode      what the controller knows of past losses (its memory), and the hidden state of the links
+    period    xi' = A xi, A by memory and outcome; the memory that follows by both as well
+
+Second moments of xi, one matrix for each mode, follow a linear map from period to period. Its spectral radius
+decides whether the loop is stable in mean square, and how fast (Costa, Fragoso, Marques, Discrete-Time Markov
+Jump Linear Systems, 2005, ch. 3). The load is a further, constant entry of xi: so means and variances after a
+step of it are exact.
+"""
+
+import math
+from collections.abc import Hashable, Sequence
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
+
+from servobench.design.delay.delay_loop import Array
+from servobench.design.sampled.held_loop import HeldInput, Jump, Operation
+from servobench.design.sampled.random_losses import Fates, Outcome, stationary
+
+WITHIN = 16
+"""Instants of a period at which the error is evaluated: with four times as many a peak rises by 0.1 %."""
+_OVER = 1e-3
+"""Share of the largest mean and deviation below which a load step counts as over."""
+_CLOSE = 1e-12
+_PERIODS_MAX = 20_000
+_ROUNDS = 2000
+
+
+class Remembering(Protocol):
+    """A controller's periods under losses."""
+
+    @property
+    def loop(self) -> HeldInput:
+        """Its loop."""
+
+    @property
+    def period_s(self) -> float:
+        """From sample to sample."""
+
+    @property
+    def quiet(self) -> Hashable:
+        """A memory without losses, long after the last load step."""
+
+    def after(self, memory: Any, outcome: Outcome) -> Hashable:
+        """Return the memory that follows."""
+
+    def struck(self, memory: Any) -> Hashable:
+        """Return what a load step makes of ``memory``."""
+
+    def chain(self, memory: Any, outcome: Outcome) -> Sequence[Operation]:
+        """Return the operations of a period."""
+
+
+class Moments(NamedTuple):
+    """The error after a load step of 1 N m, at :data:`WITHIN` instants of each period."""
+
+    mean: Array
+    """(n,) rad/s."""
+    deviation: Array
+    """(n,) standard deviation, rad/s."""
+
+
+class JumpLoop:
+    """``controller`` under ``fates``, met at rest by a load of 1 N m that comes just after a sample."""
+
+    def __init__(self, controller: Remembering, fates: Fates) -> None:
+        self.period_s, self.fates = controller.period_s, fates
+        quiet, lasting = _reached(controller, fates, [controller.quiet])
+        memories, following = _reached(controller, fates, list(map(controller.struck, quiet)))
+        self.following = following
+        """(memories, outcomes): number of the memory that follows."""
+        numbers = {memory: number for number, memory in enumerate(memories)}
+        loaded = _Loaded(controller)
+        periods = [
+            [loaded.period(controller.chain(memory, outcome)) for outcome in fates.outcomes]
+            for memory in memories
+        ]
+        self.maps = np.array([[whole for whole, _ in row] for row in periods])
+        """(memories, outcomes, N, N): of xi and the load, from sample to sample."""
+        self.looks = np.array([[looks for _, looks in row] for row in periods])
+        """(memories, outcomes, WITHIN, N): the error within a period."""
+        self.begun, self.at_first = loaded.begin()
+        """(N,) at the first sample under the load, and the (WITHIN,) errors until then."""
+        shares = _shares(lasting, fates)
+        self.start = np.zeros((len(memories), shares.shape[1]))
+        """(memories, m) probabilities of the modes at that sample."""
+        for memory, share in zip(quiet, shares, strict=True):
+            self.start[numbers[controller.struck(memory)]] += share
+        A, b = self.maps[0, 0, :-1, :-1], self.maps[0, 0, :-1, -1]
+        self.rest = np.append(np.linalg.solve(np.eye(len(A)) - A, b), 1.0)
+        """(N,): at rest under the load."""
+
+    @property
+    def error_at_rest(self) -> float:
+        """Error that remains, rad/s per N m."""
+        return float(self.looks[0, 0, -1] @ self.rest)
+
+    def decay_per_s(self) -> float:
+        """Return the rate at which the rms of xi decays, 1/s; negative: unstable in mean square."""
+        size = self.maps.shape[2] - 1
+        shape = (*self.start.shape, size, size)
+
+        def moved(X: Array) -> Array:
+            return self._moved(X.reshape(shape), self.maps[:, :, :-1, :-1]).ravel()
+
+        first = np.broadcast_to(np.eye(size), shape).ravel()
+        radius = _radius(LinearOperator((first.size, first.size), matvec=moved, dtype=float), first)
+        return math.inf if radius <= 0.0 else -0.5 * math.log(radius) / self.period_s
+
+    def moments(self) -> Moments:
+        """Return mean and deviation after the step until both are over; the loop decays in mean square."""
+        X = self.start[:, :, None, None] * np.outer(self.begun, self.begun)
+        means, variances = [self.at_first], [np.zeros(WITHIN)]
+        largest = widest = 0.0
+        for _ in range(_PERIODS_MAX):
+            mean, square = np.zeros(WITHIN), np.zeros(WITHIN)
+            for outcome, moves in enumerate(self.fates.moves):
+                weighed, looks = np.einsum("i,mi...->m...", moves.sum(axis=1), X), self.looks[:, outcome]
+                mean += np.einsum("mwn,mn->w", looks, weighed[..., -1])
+                square += ((looks @ weighed) * looks).sum(axis=(0, 2))
+            means.append(mean)
+            variances.append(np.maximum(square - mean * mean, 0.0))
+            apart, wide = np.abs(mean - self.error_at_rest).max(), variances[-1].max()
+            largest, widest = max(largest, apart), max(widest, wide)
+            if apart <= _OVER * largest and wide <= _OVER**2 * max(widest, largest**2):
+                break
+            X = self._moved(X, self.maps)
+        return Moments(np.concatenate(means), np.sqrt(np.concatenate(variances)))
+
+    def squares_to_come(self) -> Array:
+        """Return (memories, m, N, N) V: what the squares of all later errors add up to on average.
+
+        Of xi beside its rest, in a loop that decays in mean square: V = Q + sum over outcomes of A' V A.
+        """
+        squared = np.einsum("mown,mowk->monk", self.looks, self.looks)
+        Q = np.einsum("oij,monk->mink", self.fates.moves, squared)
+        V: Array = np.zeros_like(Q)
+        for _ in range(_PERIODS_MAX):
+            later = Q.copy()
+            for outcome, moves in enumerate(self.fates.moves):
+                A = self.maps[:, outcome, None]
+                ahead = np.einsum("ij,mjnk->mink", moves, V[self.following[:, outcome]])
+                later += A.transpose(0, 1, 3, 2) @ ahead @ A
+            later[..., -1, :] = later[..., -1] = 0.0
+            if np.abs(later - V).max() <= _CLOSE * np.abs(later).max():
+                break
+            V = later
+        return V
+
+    def _moved(self, X: Array, maps: Array) -> Array:
+        """Return the moments (memories, m, N, N) a period later."""
+        later = np.zeros_like(X)
+        for outcome, moves in enumerate(self.fates.moves):
+            A = maps[:, outcome, None]
+            moved = np.einsum("ij,mink->mjnk", moves, A @ X @ A.transpose(0, 1, 3, 2))
+            np.add.at(later, self.following[:, outcome], moved)
+        return later
+
+
+class _Loaded:
+    """Periods of a loop under a load, which is the last entry of their state."""
+
+    def __init__(self, controller: Remembering) -> None:
+        self._loop, self._period_s = controller.loop, controller.period_s
+        model, n = self._loop.model, len(self._loop.model.A)
+        self._rates = np.zeros((n + 2, n + 2))  # of [x, u, load]
+        self._rates[:n, :n], self._rates[:n, n], self._rates[:n, n + 1] = model.A, model.B1, model.B2
+        self._places = [*range(n + 1), self._loop.size]
+        self._look = np.zeros(self._loop.size + 1)
+        self._look[:n] = math.copysign(1.0, model.C @ model.B2) * model.C
+        self._flows: dict[float, Array] = {}
+
+    def begin(self) -> tuple[Array, Array]:
+        """Return the state a period after the load came, from rest, and the errors until then."""
+        whole, looks = self.period([])
+        return whole[:, -1], looks[:, -1]
+
+    def period(self, chain: Sequence[Operation]) -> tuple[Array, Array]:
+        """Return a period's map (N, N), and the errors within it (WITHIN, N)."""
+        at_s, total = 0.0, np.eye(len(self._look))
+        looks: list[Array] = []
+        whole_s = self._period_s * (1.0 + 1e-9)
+        for operation in (*chain, None):
+            if isinstance(operation, Jump):
+                total[:-1] = operation.J @ total[:-1]
+                continue
+            length_s = self._period_s - at_s if operation is None else operation.length_s
+            while (next_s := self._period_s * (len(looks) + 1) / WITHIN) <= min(at_s + length_s, whole_s):
+                looks.append(self._look @ self._flow(next_s - at_s) @ total)
+            total, at_s = self._flow(length_s) @ total, at_s + length_s
+        looks += [self._look @ total] * (WITHIN - len(looks))
+        return total, np.array(looks)
+
+    def _flow(self, length_s: float) -> Array:
+        known = self._flows.get(length_s)
+        if known is None:
+            known = np.eye(len(self._look))
+            known[np.ix_(self._places, self._places)] = scipy.linalg.expm(self._rates * length_s)
+            self._flows[length_s] = known
+        return known
+
+
+def _reached(
+    controller: Remembering, fates: Fates, first: Sequence[Hashable]
+) -> tuple[list[Hashable], NDArray[np.intp]]:
+    """Return the memories that follow from ``first``, and (memories, outcomes) the number of each next
+    one."""
+    numbers = {memory: number for number, memory in enumerate(dict.fromkeys(first))}
+    following: list[list[int]] = []
+    waiting = list(numbers)
+    for memory in waiting:
+        row = []
+        for outcome in fates.outcomes:
+            later = controller.after(memory, outcome)
+            if later not in numbers:
+                numbers[later] = len(numbers)
+                waiting.append(later)
+            row.append(numbers[later])
+        following.append(row)
+    return list(numbers), np.array(following)
+
+
+def _shares(following: NDArray[np.intp], fates: Fates) -> Array:
+    """Return (memories, m): how often each mode occurs in the long run."""
+    memories, m = len(following), fates.moves.shape[1]
+    moves = np.zeros((memories, m, memories, m))
+    for memory, row in enumerate(following):
+        for outcome, later in enumerate(row):
+            moves[memory, :, later] += fates.moves[outcome]
+    return stationary(moves.reshape(memories * m, memories * m)).reshape(memories, m)
+
+
+def _radius(moved: LinearOperator, first: Array) -> float:
+    """Return the spectral radius of a map of second moments: its largest eigenvalue, which is real."""
+    try:
+        return float(np.abs(eigs(moved, k=1, v0=first, tol=1e-10, return_eigenvectors=False)[0]))
+    except ArpackNoConvergence:  # eigenvalues of equal size: the trace's growth tells it as well
+        X, grown = first, 1.0
+        for _ in range(_ROUNDS):
+            X = moved.matvec(X)
+            grown = float(np.abs(X).max())
+            X = X / grown
+        return grown
