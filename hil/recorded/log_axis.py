@@ -30,6 +30,9 @@ _COMMANDS: Final = {
 }
 
 
+_BOOT_UP: Final = "boot-up"
+
+
 @dataclass(frozen=True, slots=True)
 class PdoReview:
     """A PDO of an axis."""
@@ -78,7 +81,7 @@ class AxisReview:
     nmt: tuple[tuple[float, str], ...]
     """Boot-ups and changes of the NMT state, by its heartbeats."""
     heartbeat_gap_s: float | None
-    """The longest; None: it sends none."""
+    """The longest, but for those behind a boot-up, when none is asked for yet; None: it sends none."""
 
     def as_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -108,7 +111,9 @@ def axis_review(
         entry for entry in bus.entries if entry.kind in ("heartbeat", "guarding") and entry.node == drive.node
     ]
     at_ns = [entry.at_ns or 0 for entry in beats if entry.kind == "heartbeat"]
-    gap_s = max(np.diff(at_ns), default=0) / NS_PER_S if len(at_ns) > 1 else None
+    booted = np.array([entry.text == _BOOT_UP for entry in beats if entry.kind == "heartbeat"], np.bool_)
+    gaps = np.diff(np.array(at_ns, np.int64))[~booted[:-1]]
+    gap_s = gaps.max() / NS_PER_S if gaps.size else None
     told = [((entry.at_ns or 0) - begin, entry.text) for entry in beats]
     emergencies = [entry for entry in bus.entries if entry.kind == "emcy" and entry.node == drive.node]
     return AxisReview(
@@ -167,6 +172,6 @@ def _states(words: ObjectValues | None, begin_ns: int) -> Iterator[tuple[float, 
 def _changes(told: Sequence[tuple[int, str]]) -> Iterator[tuple[float, str]]:
     before = ""
     for at_ns, text in told:
-        if text != before or text == "boot-up":
+        if text != before or text == _BOOT_UP:
             yield at_ns / NS_PER_S, text
         before = text

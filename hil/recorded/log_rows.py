@@ -84,6 +84,9 @@ class AxisCycles:
             enabled = np.isin(held & STATE_BITS, _ENABLED)
             if np.any(chosen & enabled):
                 chosen &= enabled
+        with_sync = np.flatnonzero(chosen & self.grid.there)
+        if with_sync.size:  # while a drive is being enabled its host may send SYNCs as it likes
+            chosen[: with_sync[0]] = chosen[with_sync[-1] + 1 :] = False
         return chosen
 
     def _add_commands(self, rows: Rows, mode: str, chosen: NDArray[np.bool_]) -> None:

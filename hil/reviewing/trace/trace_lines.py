@@ -21,6 +21,7 @@ from servobench.drivers.timebase import NS_PER_S
 from servobench.drivers.wire.identifiers import STANDARD_ID_MAX
 from servobench.hil.reviewing.trace.decoder import BusDecoder
 from servobench.hil.reviewing.trace.frame_columns import FrameColumns
+from servobench.hil.reviewing.trace.log_frame import CLASSICAL_BYTES_MAX
 from servobench.hil.reviewing.trace.node_objects import KnownNodes
 from servobench.hil.reviewing.trace.number_text import (
     Texts,
@@ -150,7 +151,8 @@ class TraceLines:
         self, columns: FrameColumns, frames: NDArray[np.void], numbers: NDArray[np.int64],
         places: NDArray[np.int64], decoder: BusDecoder,
     ) -> Iterator[_Told]:  # fmt: skip
-        ids, lengths = frames["can_id"][places].astype(np.int64), frames["length"][places]
+        ids = frames["can_id"][places].astype(np.int64)
+        lengths = np.minimum(frames["length"][places], CLASSICAL_BYTES_MAX)
         single = np.ones(places.size, np.bool_)
         keys = ids << 8 | lengths
         for key in np.unique(keys[_is_quick(ids)]).tolist():

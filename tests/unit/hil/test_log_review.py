@@ -146,6 +146,17 @@ def test_a_pdo_by_event_has_no_losses_and_one_of_each_second_sync_its_own(kind: 
     assert np.flatnonzero(pdo.lost).tolist() == ([20] if kind in (None, 2) else [])
 
 
+def test_a_boot_up_begins_no_heartbeat(tmp_path: Path) -> None:
+    """Nobody has asked for heartbeats yet; later the time-out of the bench holds."""
+    drawn = Drawn(4)
+    drawn.frames = [frame for frame in drawn.frames if frame[1] != 0x701]
+    for at_us in (-900_000, 0, 50_000, 380_000):
+        drawn.say(at_us, 0x701, "00" if at_us < 0 else "05")
+    figures = told(drawn.write(tmp_path / "drawn.log"))
+    assert figures["axes"]["axis1"]["heartbeat_gap_s"] == pytest.approx(0.33)
+    assert figures["verdict"]["findings"] == ["axis1: no heartbeat for 0.330 s, more than 0.15 s"]
+
+
 def test_states_emergencies_and_heartbeats(tmp_path: Path) -> None:
     drawn = Drawn(3)
     drawn.say(123_450, 0x081, "1023040000000000")
@@ -213,6 +224,10 @@ def test_a_run_seen_through_its_log_alone(servo_bench: BenchRunner, tmp_path: Pa
     assert reading["lost_in_a_row"] == run.summary.reading_losses_in_a_row
     assert "operation enabled" in [state["state"] for state in axis["states"]]
     assert all(pdo["mapping_known"] for pdo in axis["pdos"])
+    assert figures["verdict"]["findings"] == []
+    dropouts, true = figures["dropouts"], run.summary.dropouts
+    assert (dropouts["lost"], dropouts["late"], dropouts["missed"]) == (true.lost, true.late, true.missed)
+    assert figures["cycles"] == pytest.approx(run.summary.cycles, abs=3), "by what the statusword told when"
     page = tmp_path / "log.html"
     done = hil_review(candump(run.folder), "--report", str(page))
     assert done.exit_code == 0
