@@ -23,7 +23,6 @@ from servobench.design.speed.fused_filter import FusedWalks, fused_filter
 from servobench.design.speed.fused_loop import FusedLoop
 from servobench.design.speed.loop_robustness import (
     CHANGES,
-    LOST,
     LoopRobustness,
     peaks_over_floor,
     stable_bandwidths,
@@ -48,6 +47,9 @@ _TORQUE_POLE = 0.8
 """Torque pole that is tried first, of the current loop's rate: the search moves it either way."""
 _SPEED_WALK = 0.1
 """First walk of the speed, of what the walk of the load makes within a period."""
+_TABLE = 20
+"""Losses in a row up to which a sample has a gain of its own. A gain that is made for few losses corrects
+the speed too far after many: with five, bursts of ten periods on average diverge in mean square."""
 _WALKS = (0.05, 0.3, 2.0)
 """First walks of the load, rated torques per root of s."""
 
@@ -146,7 +148,7 @@ def design_fused(asked: FusedRequest) -> FusedDesign:
         best = scipy.optimize.minimize(cost, best, method="Nelder-Mead", options=options).x
     if cost(best) >= WORST or made(best).noise()[0] > 1.01 * request.command_noise_nm:
         raise request.unkept("predictor on count and speed")
-    return made(best, LOST)
+    return made(best, _TABLE)
 
 
 def fused_robustness(made: FusedDesign) -> LoopRobustness:

@@ -13,6 +13,9 @@ from servobench.design.sampled.held_loop import HeldLoop, PeriodStep, SampledNet
 from servobench.design.sampled.jump_loop import JumpLoop
 from servobench.design.sampled.random_losses import LossyLink, fates_of
 from servobench.design.speed.random_loops import RandomHeld
+from servobench.hil.configuration.bench_file import load_controller
+from servobench.hil.configuration.controller_kinds import FusedController
+from servobench.hil.studies.speed.random_losses import remembering_of
 from tests.benchmarks.bench_random_losses import FILES, Link, beside, fates
 
 MODEL = model_of(math.tau * 800.0, 0.4, 8e-4, 1.85e-3, integral=False)
@@ -79,3 +82,15 @@ def test_figures_agree_with_runs_that_share_nothing_with_them(path: Path) -> Non
     links = Link(0.03, 0.6, 0.8, 0.01), Link(0.02, 0.6, 0.9)
     for figure in beside(path, links, 3000, 7, periods=40):
         assert figure.inside, figure
+
+
+def test_the_fused_predictor_bears_outages_of_ten_periods_on_average() -> None:
+    controller = load_controller(Path("examples/controllers/ling2012-fused.toml"))
+    assert isinstance(controller, FusedController)
+    bursts = fates_of(LossyLink(0.02, 0.1, 1.0, 0.0), LossyLink())
+    few = controller.model_copy(update={"gains": controller.gains[:6]})
+    whole, short = (
+        JumpLoop(remembering_of(each, Path(), 0.6), bursts).decay_per_s() for each in (controller, few)
+    )
+    assert whole > 5.0
+    assert short < -20.0, "gains for five losses, as files had them before, correct too far after more"
