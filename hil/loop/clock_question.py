@@ -36,6 +36,9 @@ LIKELY_COST_MAX: Final = STEP_COST + LOSS_COST_MAX
 EXCLUDING: Final = 12.0
 """A line is none if another is e^12, 160 000 times, likelier by how far the readings lie off it. So SYNCs
 that are not at equal distances tell which ones they are."""
+MISFIT_MOST: Final = 2.0
+"""Of each suspect on a line; half is usual. Those of a clock that was set twice lie on two lines, and on none
+between."""
 RARE: Final = 8
 """One suspect in so many may lie off its SYNC by more than any stamp did though the clock was not set,"""
 OUTLYING: Final = 4.0
@@ -217,7 +220,8 @@ class ClockQuestion:
         likely than another by how far they lie off it."""
         received_at = last[0].received_at
         match_ns, residuals = self._stamps.unmapped_ns, self._stamps.residuals
-        if residuals.variance_ns2(match_ns):
+        scatter = residuals.variance_ns2(match_ns) > 0.0
+        if scatter:
             match_ns = max(match_ns, min(match_ns + residuals.reach, round(2 * self._half * NEARER)))
         placements = []
         for mark in self._syncs.marks:
@@ -229,6 +233,8 @@ class ClockQuestion:
         if all(line.steps for line in placements):
             placements += self._unmoved(last, match_ns)
         most = min((line.misfit for line in placements), default=0.0) + EXCLUDING
+        if scatter:  # or else it is another rate that they show
+            most = min(most, MISFIT_MOST * len(last))
         return [line for line in placements if line.misfit <= most]
 
     def _line(self, last: list[Suspect], first: SyncMark, match_ns: int) -> Line | None:

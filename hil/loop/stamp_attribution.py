@@ -339,7 +339,7 @@ class StampAttribution:
             self.stamps.move_to(pairs)
             self.doubt.moved()
         others = [(other.first_at - line.first_at, other.steps) for other in lines[1:]]
-        if others and line.unlikely:
+        if others and (line.unlikely or line.delay_change > self._half):
             self.doubt.put(steps, others, self._case.delays, self._case.since)
         if not steps:
             self._case.note_residuals(self._suspects)

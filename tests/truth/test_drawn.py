@@ -211,6 +211,13 @@ def test_syncs_that_rest_on_their_hand_over_have_an_error_that_no_stamp_shows() 
     assert verdict.commands.told_acting > 200
 
 
+def test_a_clock_that_is_set_twice_lies_on_no_line_between() -> None:
+    """By -987 and -507 us within 32 readings, on a line that fits none of them: -995 us was told, and 792 of
+    3000 rows were a SYNC off. Nor is a delay that is longer by a period nothing, as few were known yet."""
+    verdict = judged(drawn_plan(450377), 1050)
+    assert verdict.readings.wrong == 0, verdict.examples
+
+
 def test_a_delay_that_grew_is_no_loss_where_readings_come_too_soon_for_it() -> None:
     """By 951 us at SYNCs of 1001 us: most came sooner than a frame can behind the SYNC before, and one
     surplus reading was taken for proof that nothing had changed. 393 rows were wrong, 320 commands too."""
