@@ -10,7 +10,7 @@ from pydantic import Field
 from servobench.design.flux_constants import CONVENTIONS
 from servobench.design.sheet_figures import Contradiction, SheetFigures
 from servobench.design.sheet_readings import readings
-from servobench.drivers.bounded_file import NamedBy
+from servobench.drivers.bounded_file import NamedBy, read_toml
 from servobench.drivers.canopen.objects301 import FIRST_OBJECT
 from servobench.drivers.errors import BadInput
 from servobench.drivers.printable import printable
@@ -18,7 +18,7 @@ from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.vendors.motor_objects import POLE_PAIRS_MAX
 from servobench.hil.commissioning.laboratory import Laboratory
 from servobench.hil.configuration.config import Foreign, Guard
-from servobench.hil.configuration.config_files import Section, load_file
+from servobench.hil.configuration.config_files import Section, other_kind, validated
 from servobench.hil.configuration.motor_file import LING2012, MotorFile
 from servobench.hil.configuration.quantities import (
     Current,
@@ -155,7 +155,11 @@ class ImpossiblePlate(BadInput):
 def load_nameplate(path: Path) -> Nameplate:
     """Load the nameplate in the file at ``path``. Raises BadInput or BadInputs; ImpossiblePlate for one that
     contradicts itself."""
-    plate = load_file(Nameplate, path, "nameplate file", NamedBy("--motor", "", str(path)))
+    tables = read_toml(path, "nameplate file", NamedBy("--motor", "", str(path)))
+    if other := other_kind(tables):
+        expected = "a nameplate file, with figures of [motor], [rating], [encoder], [limits]"
+        raise BadInput(str(path), "", f"a {other}", expected, "hil docs commissioning shows one")
+    plate = validated(Nameplate, tables, str(path))
     refuse_impossible(plate, str(path))
     return plate
 

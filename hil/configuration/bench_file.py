@@ -17,7 +17,14 @@ from servobench.drivers.bounded_file import NamedBy, read_toml
 from servobench.drivers.errors import BadInput, BenchError
 from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.configuration.config_checks import cross_faults
-from servobench.hil.configuration.config_files import bad_inputs_of, raise_all, shown, translate, validated
+from servobench.hil.configuration.config_files import (
+    bad_inputs_of,
+    other_kind,
+    raise_all,
+    shown,
+    translate,
+    validated,
+)
 from servobench.hil.configuration.controller_files import load_current_controller
 from servobench.hil.configuration.controller_kinds import (
     ControllerFile,
@@ -38,6 +45,9 @@ ENTRY_POINTS = "servobench.controllers"
 
 def load_bench(path: Path) -> BenchConfig:
     """Load the bench file at ``path``, with the files that it names. Raises BadInput or BadInputs."""
+    if path.suffix == ".py" and path.is_file():
+        remedy = f"hil run BENCH.toml --controller AXIS={path}:CLASS runs a controller of your own"
+        raise BadInput(str(path), "", "a Python file", "a bench file, with [bench], [drive]", remedy)
     return bench_from(read_toml(path, "bench file"), str(path), path.parent)
 
 
@@ -49,7 +59,10 @@ def load_faults(path: Path, named_by: NamedBy | None = None) -> Faults:
     """
     if path.suffix == ".jsonl":
         return read_recorded(path, named_by)
-    return faults_from(read_toml(path, "fault plan", named_by), str(path))
+    tables = read_toml(path, "fault plan", named_by)
+    if other := other_kind(tables):
+        raise BadInput(str(path), "", f"a {other}", "a fault plan, with tables such as [[loss]] or [[delay]]")
+    return faults_from(tables, str(path))
 
 
 def faults_from(tables: Mapping[str, Any], source: str, prefix: str = "") -> FaultPlan:
@@ -120,6 +133,8 @@ def with_controllers(config: BenchConfig, asked: Sequence[str]) -> BenchConfig:
             expected = "AXIS=FILE.py:NAME, AXIS=MODULE:NAME or AXIS=FILE.toml"
             remedy = f"the axes of this bench: {', '.join(config.axes)}"
             raise BadInput("--controller", "", text, expected, remedy)
+        if name.endswith(".py"):
+            raise BadInput("--controller", "", text, f"the class too: {text}:NAME")
         if name.endswith(".toml"):
             controller = load_controller(Path(name), NamedBy("--controller", "", text))
         else:

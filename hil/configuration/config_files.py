@@ -5,7 +5,7 @@ A validator's messages become errors that a user can act on. Every fault of a fi
 expected.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NoReturn, TypeVar
 
@@ -67,7 +67,7 @@ def translate(
     error: ValidationError, source: str, raw: Mapping[str, Any], model: type[BaseModel]
 ) -> list[BadInput]:
     """Return the faults of ``raw``, read from ``source``, as found by ``model``."""
-    if other := _other_kind(raw, model):
+    if other := other_kind(raw, model.model_fields):
         expected = f"a file with {', '.join(f'[{key}]' for key in sorted(_required(model)))}"
         return [BadInput(source, "", f"a {other}", expected)]
     details = [
@@ -89,9 +89,9 @@ _KINDS: Final = {
 """Kind of file -> the tables that it holds, and no other kind all of them."""
 
 
-def _other_kind(raw: Mapping[str, Any], model: type[BaseModel]) -> str:
-    """Return the kind of file that ``raw`` is, if ``model`` knows none of its tables; else empty."""
-    if set(raw) & set(model.model_fields):
+def other_kind(raw: Mapping[str, Any], known: Collection[str] = ()) -> str:
+    """Return the kind of file that ``raw`` is, if it holds no table of ``known``; else empty."""
+    if set(raw) & set(known):
         return ""
     return next((kind for kind, tables in _KINDS.items() if tables <= set(raw)), "")
 

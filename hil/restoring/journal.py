@@ -181,7 +181,8 @@ def read_journal(path: Path) -> JournalContents:
 
 def _records(path: Path, lines: list[str]) -> Iterator[dict[str, Any]]:
     for number, line in enumerate(lines, start=1):
-        record = parse_json(line, str(path), "a line of a journal", f"line {number}")
+        what = "a line of a journal: journal.jsonl of a commissioning or of a measurement"
+        record = parse_json(line, str(path), what, f"line {number}")
         if not isinstance(record, dict):
             raise BadInput(str(path), f"line {number}", line[:60], "a line of a journal")
         yield record

@@ -58,4 +58,5 @@ def not_a_recording(folder: Path, lacks: str) -> BadInput:
     """Return the error for a folder without the file ``lacks`` of a recording."""
     if not folder.exists():
         return BadInput(str(folder), "", MISSING, "the folder of a recording", "hil runs DIR lists them")
-    return BadInput(str(folder), "", f"no {lacks}", "the folder of a recording", "hil runs DIR lists them")
+    found = f"no {lacks}" if folder.is_dir() else "a file"
+    return BadInput(str(folder), "", found, "the folder of a recording", "hil runs DIR lists them")

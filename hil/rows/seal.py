@@ -37,6 +37,7 @@ from servobench.hil.rows.run_files import (
     SEAL_FILE,
     SUMMARY_FILE,
     UNSEALED_FORMAT_MAX,
+    not_a_recording,
 )
 from servobench.virtual_bus.faults.fault_log import FAULTS_FILE
 
@@ -191,6 +192,8 @@ class SealedFiles:
             if records.is_file() and not has_seal(read_metadata(records)):
                 self.told = OLDER
                 return
+            if not records.is_file():
+                raise not_a_recording(folder, RECORDS_FILE)
             raise BadInput(str(folder), "", f"no file {SEAL_FILE}", "a recording with its seal", _SHOWN)
         ended, rows = False, 0
         for piece, _ in read_seal(folder):

@@ -27,6 +27,9 @@ from servobench.hil.machine.refusals import explained, raised_by_own_code
 from servobench.hil.terminal.output import say
 from servobench.hil.verdict.verdict import ExitStatus
 
+_USAGE_ERROR: type[Exception] = BadParameter.__bases__[0]
+"""Misuse of any kind, of a command that does not exist too."""
+
 
 @contextmanager
 def reported_errors(
@@ -115,6 +118,8 @@ def _in_our_words(misuse: BadParameter) -> BadParameter:
 
     from servobench.hil.configuration.config_files import found_and_expected
 
+    if not misuse.message and (help_text := getattr(misuse.param, "help", None)):
+        misuse.message = f"Expected: {help_text}".replace("\\[", "[")  # of a parameter that is missing
     if isinstance(misuse.__cause__, ValidationError):
         misuse.message = found_and_expected(misuse.__cause__.errors()[0])
     return misuse
@@ -154,6 +159,16 @@ class PlainGroup(TyperGroup):
 
 class PanelGroup(PlainGroup):
     """Lists commands by panel, in the order of :data:`PANELS`."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command; a file in its place is told the command that runs it."""
+        try:
+            return super().resolve_command(ctx, args)
+        except _USAGE_ERROR as error:
+            misuse: Any = error
+            if args[0].endswith(".toml"):
+                misuse.message += f" A bench file is run by: hil run {args[0]}"
+            raise
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names of the commands, as its help shows them."""
