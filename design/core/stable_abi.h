@@ -151,6 +151,7 @@ PyObject *PyFloat_FromDouble(double);
 long PyLong_AsLong(PyObject *);
 long long PyLong_AsLongLong(PyObject *);
 unsigned long long PyLong_AsUnsignedLongLong(PyObject *);
+PyObject *PyLong_FromDouble(double);
 PyObject *PyLong_FromLongLong(long long);
 PyObject *PyLong_FromUnsignedLongLong(unsigned long long);
 PyObject *PyBool_FromLong(long);

@@ -52,6 +52,8 @@ class FramePump(Master):
         self._pump = Pump(
             link, self.handlers, self.echo_handlers, others, keep_house, clock.now, clock.sleep_until
         )
+        self._pump_all, self._pump_one, self._rest = self._pump.pump, self._pump.pump_one, self._pump.rest
+        self._send = link.send
         link.on_unsent = self._on_unsent
         link.on_unheard = self._on_unheard
         self._listeners: dict[int, Handler] = {}
@@ -98,17 +100,17 @@ class FramePump(Master):
 
         Frames already waiting are handled in either case.
         """
-        self._pump.pump(until)
+        self._pump_all(until)
 
     def pump_one(self, until: Instant) -> bool:
         """Handle the next frame and return True; False once ``until`` has come without one."""
-        return self._pump.pump_one(until)
+        return self._pump_one(until)
 
     def rest(self, until: Instant) -> None:
         """Let time pass like :meth:`pump`, but leave frames in the bus's queue until ``until``, or until
         housekeeping is due: one wake-up instead of one per frame. The bus stamps them, so nothing is lost; on
         a bus that needs watching this is :meth:`pump`."""
-        self._pump.rest(until)
+        self._rest(until)
 
     def _on_sync_echo(self, _data: bytes, at: Instant, handed_at: Instant) -> None:
         if self.on_sync_echo is not None:
@@ -133,6 +135,6 @@ class FramePump(Master):
     def send_sync(self) -> Instant:
         """Send a SYNC without counter (CiA 301 7.2.5); returns the instant at which the bus was given it."""
         self.sync_count += 1
-        at = self._link.send(SYNC, b"")
+        at = self._send(SYNC, b"")
         self.sync_handed_at[0] = at
         return at

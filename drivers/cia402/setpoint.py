@@ -9,11 +9,11 @@ from servobench.drivers.canopen.sdo import object_name
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode
 from servobench.drivers.cia402.scaling import Scaling
+from servobench.drivers.core.native import nearest
 from servobench.drivers.exchange import SentCommand
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.timebase import Instant
 from servobench.drivers.wire.frame_port import UNTOLD
-from servobench.drivers.wire.link import BusLink
 
 _TORQUE_RAW_MAX: Final = 0x7FFF
 _VELOCITY_RAW_MAX: Final = 0x7FFF_FFFF
@@ -26,7 +26,7 @@ _TARGET_VELOCITY: Final[Key] = (int(Object.TARGET_VELOCITY), 0)
 _TARGET_POSITION: Final[Key] = (int(Object.TARGET_POSITION), 0)
 _VL_TARGET: Final[Key] = (int(Object.VL_TARGET_VELOCITY), 0)
 _DATA_RECORD: Final[Key] = (int(Object.INTERPOLATION_DATA_RECORD), 1)
-_round: Final = round
+_round: Final = nearest
 """Module constants: found without a look-up where compiled."""
 _AWAITED_MAX: Final = 256
 """Commands waiting for their echo on a bus that has none, or has stopped sending them."""
@@ -130,7 +130,7 @@ class SetPointFrames:
         torque_max_nm: float | None,
         speed_max_rad_s: float | None = None,
     ) -> None:
-        self._link: BusLink = network.link
+        self._send_frame = network.link.send
         self._scaling = scaling
         self._speed_max_rad_s = speed_max_rad_s
         per_nm = 1.0 / scaling.torque_nm
@@ -171,7 +171,7 @@ class SetPointFrames:
         """Send every RPDO that carries an object; nothing if none does."""
         for place in self._places.get((index, sub), ()):
             carrier = place.carrier
-            self._link.send(carrier.cob_id, carrier.pack(*carrier.values))
+            self._send_frame(carrier.cob_id, carrier.pack(*carrier.values))
 
     def send_controlword(self, controlword: int) -> None:
         """Put a controlword in force and send every RPDO that carries it."""
@@ -226,7 +226,7 @@ class SetPointFrames:
             raise RuntimeError(f"no RPDO of the plan carries {object_name(*key)}")
         carrier = places[0].carrier
         data = carrier.pack(*carrier.values)
-        command = SentCommand(sequence, raw, self._link.send(carrier.cob_id, data))
+        command = SentCommand(sequence, raw, self._send_frame(carrier.cob_id, data))
         carrier.awaited.sent(data, command)
         return command
 

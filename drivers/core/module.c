@@ -3,6 +3,7 @@
 #include "types.h"
 
 static PyMethodDef functions[] = {
+    {"nearest", call_nearest, METH_O, NULL},
     {"data_frame", (PyCFunction)(void (*)(void))call_data_frame, METH_FASTCALL, NULL},
     {0},
 };

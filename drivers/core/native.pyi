@@ -8,6 +8,10 @@ from servobench.drivers.timebase import Instant
 SOURCES_DIGEST: str
 """Digest of the C sources of the core (servobench.design.core.build)."""
 
+def nearest(value: float, /) -> int:
+    """``round(value)`` of a float, in a third of its time. Error: ValueError, OverflowError for what is not
+    finite."""
+
 class WireFrame:
     """A classical CAN data or remote frame. Equal to another whose fields are equal."""
 

@@ -154,10 +154,10 @@ class BusGuard:
                         stream = SyncedStream(pdo, frames.take_frames, syncs[name], period, known)
                         self._tpdos.append(_WatchedTpdo(title, stream))
 
-    def attend(self, now: Instant) -> None:
-        """Check; to be called in each cycle, costs something ten times a second."""
+    def attend(self, now: Instant) -> Instant:
+        """Check, ten times a second; return when to be called next, at the latest."""
         if now < self._look_at:
-            return
+            return self._look_at
         if now - self._look_at > NS_PER_S:
             self._forget_errors()
         self._look_at = Instant(now + self._look_every)
@@ -169,6 +169,7 @@ class BusGuard:
             self._forget_errors()
             what = f"{ERRORS_A_SECOND_MAX} and more error frames within a second"
             self._note(self._rules.on_bus_errors, what, now, f"{rise} now, {errors} in all")
+        return self._look_at
 
     def _look_at_tpdos(self, now: Instant, *, at_end: bool = False) -> None:
         for tpdo in self._tpdos:
@@ -179,15 +180,14 @@ class BusGuard:
             if more:
                 self._foreign("tpdo", what, now, f"{more} since the last look", more)
 
-    def attending(self, chore: Callable[[Instant], None] | None) -> Callable[[Instant], None]:
-        """Combine :meth:`attend` with another chore of the loop."""
+    def attending(self, chore: Callable[[Instant], None] | None) -> Callable[[Instant], Instant]:
+        """Combine :meth:`attend` with another chore of the loop, one of each cycle."""
         if chore is None:
             return self.attend
-        other = chore
 
-        def both(now: Instant) -> None:
-            other(now)
-            self.attend(now)
+        def both(now: Instant) -> Instant:
+            chore(now)
+            return min(now, self.attend(now))
 
         return both
 

@@ -195,7 +195,8 @@ class Axis:
         """Take in what had arrived ``before``, but for readings whose SYNC's echo may be on its way yet, and
         for those that may answer a SYNC whose cycle is to begin."""
         kept, syncs, arrived = self._kept, self.parts.syncs, self._drive.take_readings()
-        kept.extend(arrived)
+        for reading in arrived:  # by ones: a slice takes ten times as long
+            kept.append(reading)
         if not kept:
             return
         before = min(before, syncs.end_of_first_after(self._begun))

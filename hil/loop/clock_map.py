@@ -16,9 +16,10 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final
 
+from servobench.drivers.core.native import nearest
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
 
-_round: Final = round
+_round: Final = nearest
 """A module constant: found without a look-up where compiled."""
 STAMP_RESOLUTION: Final = Duration(NS_PER_US)
 """1013h counts whole microseconds, rounded down (CiA 301 7.5.2.16); makers differ."""

@@ -83,10 +83,10 @@ class Loop:
         axes: Sequence[Axis],
         pace: Pace,
         timing: LoopTiming,
-        chore: Callable[[Instant], None] | None = None,
+        chore: Callable[[Instant], Instant] | None = None,
     ) -> None:
-        """``pace``: starts the cycles. ``chore``: done at the end of each cycle, when the commands are out;
-        it must not wait."""
+        """``pace``: starts the cycles. ``chore``: done at the end of a cycle, when the commands are out; it
+        returns when it is due again, and must not wait."""
         self._network = network
         self._clock = clock
         self._now = clock.now
@@ -94,6 +94,7 @@ class Loop:
         self._pace = pace
         self._timing = timing
         self._chore = chore
+        self._chore_at = Instant(0)
         self._started_at = self._due_at = Instant(0)
         self._planned = self._number = self._missed = 0
 
@@ -190,7 +191,9 @@ class Loop:
         for axis in axes:
             axis.settle(self._number)
         if self._chore is not None:
-            self._chore(self._now())
+            now = self._now()
+            if now >= self._chore_at:
+                self._chore_at = self._chore(now)
 
     def _await_readings(self, tick: Tick) -> None:
         network, axes, decide_after = self._network, self._axes, self._timing.decide_after

@@ -124,7 +124,8 @@ class ReadbackTie:
     def take(self, readbacks: list[Readback], *, at_end: bool) -> list[Telling]:
         """What these demands, and those that waited, tell; ``at_end``: no reading comes any more."""
         pending = self._pending
-        pending.extend(readbacks)
+        for readback in readbacks:
+            pending.append(readback)
         tellings: list[Telling] = []
         while pending:
             first = pending[0]

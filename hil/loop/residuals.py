@@ -16,7 +16,9 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final
 
-_round: Final = round
+from servobench.drivers.core.native import nearest
+
+_round: Final = nearest
 """A module constant: found without a look-up where compiled."""
 WATCHED: Final = 256
 """Values whose smallest and largest stand for the present."""

@@ -4,21 +4,22 @@
 #define CORE_MACHINE_EQUATIONS_H
 
 #include "motor.h"
+#include "pairs.h"
 
-/* A/s at a voltage in the rotor's frame and an electrical speed, rad/s; `live`: 0 freezes it. As scalars: a
-   structure that is handed about costs the step 2 of its 90 ns. */
-static inline double slope_d(const MotorParameters *p, double v_d, double i_d, double i_q, double electrical,
-                             double live)
+/* A/s of d and q at a voltage, V, in the rotor's frame and an electrical speed, rad/s; `live`: 0 freezes them. */
+static inline Pair current_slopes(const MotorParameters *p, Pair voltage, Pair current, double electrical, double live)
 {
-    double flux_q = p->inductance_q_h * i_q;
-    return live * (v_d - p->resistance_ohm * i_d + electrical * flux_q) * p->per_inductance_d;
+    Pair crossed = {p->inductance_q_h, p->inductance_d_h}, rotating = {electrical, -electrical};
+    Pair magnet = {-0.0, p->flux_linkage_wb}; /* to add -0 changes nothing, not even a sign */
+    Pair per_inductance = {p->per_inductance_d, p->per_inductance_q};
+    Pair flux = crossed * swapped(current) + magnet;
+    return live * (voltage - p->resistance_ohm * current + rotating * flux) * per_inductance;
 }
 
-static inline double slope_q(const MotorParameters *p, double v_q, double i_d, double i_q, double electrical,
-                             double live)
+/* V/s of a voltage that turns in the rotor's frame, at rad/s. */
+static inline Pair voltage_slopes(Pair voltage, double backwards)
 {
-    double flux_d = p->inductance_d_h * i_d + p->flux_linkage_wb;
-    return live * (v_q - p->resistance_ohm * i_q - electrical * flux_d) * p->per_inductance_q;
+    return (Pair){backwards, -backwards} * swapped(voltage);
 }
 
 #endif

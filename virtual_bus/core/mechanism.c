@@ -33,7 +33,7 @@ enum { ROTOR, LOAD, MASSES };
 #define ALWAYS_INLINE static inline __attribute__((always_inline))
 
 typedef struct Motion {
-    double i_d, i_q, v_d, v_q; /* A, and V that turn in the rotor's frame */
+    Pair current, voltage; /* of d and q: A, and V that turn in the rotor's frame */
     double speed[MASSES];
     double angle; /* of the rotor, from the start of the period */
     double twist;
@@ -90,7 +90,7 @@ static double flank_torque(const Mechanism *m, double flank, double twist, doubl
 /* Torques on each mass but friction, N m. */
 ALWAYS_INLINE void pull(const Machine *s, const Motion *x, double flank, double *net)
 {
-    double made = motor_torque(s->p, x->i_d, x->i_q);
+    double made = motor_torque(s->p, x->current[0], x->current[1]);
     if (s->m->cogging_points > 0)
         made += cogging_nm(s, x->angle);
     if (!s->m->coupled) {
@@ -118,12 +118,10 @@ ALWAYS_INLINE Motion slopes(const Machine *s, const Phase *phase, const Motion *
 {
     double net[MASSES];
     pull(s, x, phase->flank, net);
-    double electrical = s->p->pole_pairs * x->speed[ROTOR], backwards = s->turning * electrical;
+    double electrical = s->p->pole_pairs * x->speed[ROTOR];
     Motion k = {
-        .i_d = slope_d(s->p, x->v_d, x->i_d, x->i_q, electrical, s->live),
-        .i_q = slope_q(s->p, x->v_q, x->i_d, x->i_q, electrical, s->live),
-        .v_d = backwards * x->v_q,
-        .v_q = -backwards * x->v_d,
+        .current = current_slopes(s->p, x->voltage, x->current, electrical, s->live),
+        .voltage = voltage_slopes(x->voltage, s->turning * electrical),
         .angle = x->speed[ROTOR],
         .twist = x->speed[ROTOR] - x->speed[LOAD],
     };
@@ -137,10 +135,8 @@ ALWAYS_INLINE Motion slopes(const Machine *s, const Phase *phase, const Motion *
 ALWAYS_INLINE Motion ahead(const Motion *x, const Motion *k, double h)
 {
     return (Motion){
-        .i_d = x->i_d + h * k->i_d,
-        .i_q = x->i_q + h * k->i_q,
-        .v_d = x->v_d + h * k->v_d,
-        .v_q = x->v_q + h * k->v_q,
+        .current = x->current + h * k->current,
+        .voltage = x->voltage + h * k->voltage,
         .speed = {x->speed[ROTOR] + h * k->speed[ROTOR], x->speed[LOAD] + h * k->speed[LOAD]},
         .angle = x->angle + h * k->angle,
         .twist = x->twist + h * k->twist,
@@ -308,10 +304,8 @@ void advance_machine(MotorState *state, LoadSide *load, const MotorParameters *p
     s.load_nm = load_nm;
     s.angle_rad = state->angle_rad;
     Motion x = {
-        .i_d = state->current_d_a,
-        .i_q = state->current_q_a,
-        .v_d = voltage.d,
-        .v_q = voltage.q,
+        .current = {state->current_d_a, state->current_q_a},
+        .voltage = {voltage.d, voltage.q},
         .speed = {state->speed_rad_s, load->speed_rad_s},
         .twist = load->twist_rad,
     };
@@ -319,8 +313,8 @@ void advance_machine(MotorState *state, LoadSide *load, const MotorParameters *p
         substep(&s, &x, p->step_s);
     double angle = state->angle_rad + x.angle;
     double turns = floor(angle * PER_TURN);
-    state->current_d_a = x.i_d;
-    state->current_q_a = x.i_q;
+    state->current_d_a = x.current[0];
+    state->current_q_a = x.current[1];
     state->speed_rad_s = x.speed[ROTOR];
     load->speed_rad_s = mechanism->coupled ? x.speed[LOAD] : x.speed[ROTOR];
     load->twist_rad = mechanism->coupled ? x.twist : 0.0;

@@ -14,9 +14,10 @@ static const double PER_TURN = 1.0 / TURN_RAD;
 static const double BELOW_TURN_RAD = 0x1.921fb54442d17p+2; /* the next double below 2 pi */
 static const double SIXTH = 1.0 / 6.0;
 
-/* What is integrated; v: V, turning in the rotor's frame. */
+/* What is integrated, of d and q: A, and V that turn in the rotor's frame. */
 typedef struct Motion {
-    double i_d, i_q, speed, v_d, v_q;
+    Pair current, voltage;
+    double speed;
 } Motion;
 
 /* What does not change within a step. */
@@ -35,21 +36,18 @@ double motor_torque(const MotorParameters *p, double i_d, double i_q)
 static inline Motion slopes(const MotorParameters *p, const Motion *x, const Forcing *f)
 {
     double electrical = p->pole_pairs * x->speed;
-    double net = motor_torque(p, x->i_d, x->i_q) - p->viscous_friction_nm_s * x->speed - f->resisting;
-    double backwards = f->turning * electrical;
+    double made = motor_torque(p, x->current[0], x->current[1]);
+    double net = made - p->viscous_friction_nm_s * x->speed - f->resisting;
     return (Motion){
-        .i_d = slope_d(p, x->v_d, x->i_d, x->i_q, electrical, f->live),
-        .i_q = slope_q(p, x->v_q, x->i_d, x->i_q, electrical, f->live),
+        .current = current_slopes(p, x->voltage, x->current, electrical, f->live),
+        .voltage = voltage_slopes(x->voltage, f->turning * electrical),
         .speed = f->moving * net * p->per_inertia,
-        .v_d = backwards * x->v_q,
-        .v_q = -backwards * x->v_d,
     };
 }
 
 static inline Motion ahead(const Motion *x, const Motion *k, double h)
 {
-    return (Motion){x->i_d + h * k->i_d, x->i_q + h * k->i_q, x->speed + h * k->speed, x->v_d + h * k->v_d,
-                    x->v_q + h * k->v_q};
+    return (Motion){x->current + h * k->current, x->voltage + h * k->voltage, x->speed + h * k->speed};
 }
 
 /* One classical step of fourth order, h seconds; returns the angle travelled. */
@@ -65,11 +63,9 @@ static double runge_kutta(const MotorParameters *p, const Motion *x, const Forci
     double w = h * SIXTH;
     double travelled = w * (x->speed + 2.0 * (x2.speed + x3.speed) + x4.speed);
     *new = (Motion){
-        x->i_d + w * (k1.i_d + 2.0 * (k2.i_d + k3.i_d) + k4.i_d),
-        x->i_q + w * (k1.i_q + 2.0 * (k2.i_q + k3.i_q) + k4.i_q),
+        x->current + w * (k1.current + 2.0 * (k2.current + k3.current) + k4.current),
+        x->voltage + w * (k1.voltage + 2.0 * (k2.voltage + k3.voltage) + k4.voltage),
         x->speed + w * (k1.speed + 2.0 * (k2.speed + k3.speed) + k4.speed),
-        x->v_d + w * (k1.v_d + 2.0 * (k2.v_d + k3.v_d) + k4.v_d),
-        x->v_q + w * (k1.v_q + 2.0 * (k2.v_q + k3.v_q) + k4.v_q),
     };
     return travelled;
 }
@@ -92,7 +88,7 @@ static double substep(const MotorParameters *p, Motion *x, Forcing f, double loa
         if (x->speed != 0.0) {
             sign = x->speed > 0.0 ? 1.0 : -1.0;
         } else {
-            double net = motor_torque(p, x->i_d, x->i_q) - load_nm;
+            double net = motor_torque(p, x->current[0], x->current[1]) - load_nm;
             if (fabs(net) <= friction_nm)
                 break;
             sign = net > 0.0 ? 1.0 : -1.0;
@@ -120,14 +116,14 @@ static double substep(const MotorParameters *p, Motion *x, Forcing f, double loa
 void advance_motor(MotorState *state, const MotorParameters *p, Voltage voltage, double load_nm, double brake_nm)
 {
     double friction_nm = p->coulomb_friction_nm + brake_nm;
-    Motion x = {state->current_d_a, state->current_q_a, state->speed_rad_s, voltage.d, voltage.q};
+    Motion x = {{state->current_d_a, state->current_q_a}, {voltage.d, voltage.q}, state->speed_rad_s};
     Forcing forcing = {.live = voltage.live, .turning = voltage.turning};
     double angle = state->angle_rad;
     for (int step = 0; step < (int)p->substeps; step++)
         angle += substep(p, &x, forcing, load_nm, friction_nm, p->step_s);
     double turns = floor(angle * PER_TURN);
-    state->current_d_a = x.i_d;
-    state->current_q_a = x.i_q;
+    state->current_d_a = x.current[0];
+    state->current_q_a = x.current[1];
     state->speed_rad_s = x.speed;
     /* Rounding may leave the angle a hair outside of its turn. */
     state->angle_rad = least(most(angle - turns * TURN_RAD, 0.0), BELOW_TURN_RAD);

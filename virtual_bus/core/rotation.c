@@ -3,6 +3,8 @@
 
 #include <math.h>
 
+#include "pairs.h"
+
 /* pi/2 in two parts: the high one has 33 bits, so that its product with a small whole number is exact. */
 static const double HALF_PI_HIGH = 0x1.921fb544p+0;
 static const double HALF_PI_LOW = 0x1.0b4611a626331p-34;
@@ -17,14 +19,15 @@ SineCosine sine_cosine(double angle_rad)
     double y = x * x;
     double y2 = y * y;
     double y4 = y2 * y2;
-    /* Estrin's scheme: half as many roundings wait for each other as in Horner's. */
-    double s = (-1.0 / 6.0 + y * (1.0 / 120.0)) + y2 * (-1.0 / 5040.0 + y * (1.0 / 362880.0));
-    s = s + y4 * (-1.0 / 39916800.0 + y * (1.0 / 6227020800.0) - y2 * (1.0 / 1307674368000.0));
-    s = x + x * y * s;
-    double c = (-0.5 + y * (1.0 / 24.0)) + y2 * (-1.0 / 720.0 + y * (1.0 / 40320.0));
-    c = c + y4 * ((-1.0 / 3628800.0 + y * (1.0 / 479001600.0))
-                  - y2 * (1.0 / 87178291200.0 - y * (1.0 / 20922789888000.0)));
-    c = 1.0 + y * c;
+    /* Estrin's scheme: half as many roundings wait for each other as in Horner's. Of the sine and the cosine. */
+    Pair low = (Pair){-1.0 / 6.0, -0.5} + y * (Pair){1.0 / 120.0, 1.0 / 24.0};
+    Pair middle = (Pair){-1.0 / 5040.0, -1.0 / 720.0} + y * (Pair){1.0 / 362880.0, 1.0 / 40320.0};
+    Pair high = (Pair){-1.0 / 39916800.0, -1.0 / 3628800.0} + y * (Pair){1.0 / 6227020800.0, 1.0 / 479001600.0};
+    Pair last = (Pair){1.0 / 1307674368000.0, 1.0 / 87178291200.0} - y * (Pair){0.0, 1.0 / 20922789888000.0};
+    Pair both = low + y2 * middle;
+    both = both + y4 * (high - y2 * last);
+    both = (Pair){x, 1.0} + (Pair){x * y, y} * both;
+    double s = both[0], c = both[1];
     double remainder = quarter - 4.0 * floor(quarter * 0.25);
     if (remainder == 0.0)
         return (SineCosine){s, c};

@@ -85,7 +85,7 @@ class Bench:
         drives: Any = DriveSession.__new__(DriveSession)
         drives._world = SimpleNamespace(clock=self.bus)
         drives.guard = SimpleNamespace(
-            attending=lambda _chore: lambda _now: self.notes.append("attend"),
+            attending=lambda _chore: self._attend,
             arm=lambda _syncs, period, *_: self.notes.append(f"arm, {period} ns"),
             calm=lambda: self.notes.append("calm"),
         )
@@ -102,6 +102,10 @@ class Bench:
             return inner(*arguments)
 
         monkeypatch.setattr(owner, name, noted)
+
+    def _attend(self, now: Instant) -> Instant:
+        self.notes.append("attend")
+        return now
 
     def _settle(self, until: Instant) -> None:
         self.notes.append(f"wait {(until - self.bus.now()) / NS_PER_MS:g} ms")
