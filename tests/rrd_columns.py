@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 from rerun.chunk import RrdReader
 
+from servobench.hil.recording.lanes import STATES
 from servobench.hil.recording.wide_rows import COMPONENT, cycles_entity, field_of
 
 Column = tuple[np.ndarray, list[list[object]]]
@@ -47,6 +48,13 @@ def line(path: Path, entity: str) -> tuple[np.ndarray, np.ndarray]:
     times, values = columns(path, cycles_entity(axis), COMPONENT)
     field = field_of(below)
     return times, np.array([row[field] for (row,) in values], np.float64)  # type: ignore[index]
+
+
+def lane(path: Path, track: str) -> Column:
+    """Times and labels of a lane, as "axis1 dropouts"."""
+    times, labels = columns(path, STATES, track)
+    told = [place for place, label in enumerate(labels) if label and label[0] is not None]
+    return times[told], [labels[place] for place in told]
 
 
 def view_ranges(path: Path) -> list[tuple[int, int]]:

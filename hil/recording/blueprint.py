@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import rerun.blueprint as rrb
 
-from servobench.hil.recording.lanes import STATE_ROOT
+from servobench.hil.recording.lanes import STATES, in_order, lane, live_tracks
 from servobench.hil.recording.page_series import (
     AXIS_COLORS,
     LIMITS,
@@ -57,7 +57,7 @@ class Whole:
     end_s: float
     """End of the shown run time."""
     tracks: Mapping[str, str] = field(default_factory=dict)
-    """Entities of all lanes, and of which axis each is; empty: of none."""
+    """All lanes, and of which axis each is; empty: of none."""
     enveloped: bool = False
     """There are envelopes; a short run has no more rows than they would have."""
     ranges: Mapping[str, Range] = field(default_factory=dict)
@@ -126,7 +126,7 @@ class Pages:
                 ["delay/uncertain", *(["delay/dropped"] if marks else [])],
             ),
         ]
-        own = [track for track, axis in self._tracks() if axis in ("", name)]
+        own = self._tracks("", name)
         return self._with_lanes(own, plots, [name], title, linked)
 
     def _speed(self, name: str, linked: bool, marks: bool) -> tuple[rrb.View, rrb.View]:
@@ -149,7 +149,11 @@ class Pages:
             self._together("torque/measured", f"Torques [{', '.join(sorted(set(self._units.values())))}]"),
             self._together("delay/delay", "Delays of the readings [us]"),
         ]
-        lanes = [track for track, _ in self._tracks() if not track.endswith("_drive")]
+        lanes = [
+            track
+            for track in self._tracks("", *self._axes)
+            if self._whole is None or not track.endswith(" drive")
+        ]
         return self._with_lanes(lanes, plots, self._axes, OVERVIEW_PAGE, linked=False)
 
     def _with_lanes(
@@ -158,12 +162,12 @@ class Pages:
         """Speed, error, torque and delay of ``axes`` below their lanes."""
         states = rrb.StateTimelineView(
             origin="/",
-            contents=[f"+ {lane}" for lane in lanes] or [f"{STATE_ROOT}/**"],
+            contents=[f"+ {STATES}"],
             name="States",
             time_view=self._time_axis(linked, GUTTER),
+            overrides={STATES: [lane(track, self._axes) for track in lanes]},
         )
-        live = 2 + 2 * len(self._axes)  # phase and host, each drive and its link
-        states_px = lanes_px(live if self._whole is None else max(len(lanes), 3))
+        states_px = lanes_px(max(len(lanes), 3))
         position = len(axes) == 1 and axes[0] in self._positions
         first = ("position", "position_error") if position else ("speed", "error")
         ranges = [self._widest(plot, axes) for plot in (*first, "torque", "delay")]
@@ -275,8 +279,11 @@ class Pages:
     def _range(self, plot: str) -> Range | None:
         return None if self._whole is None else self._whole.ranges.get(plot)
 
-    def _tracks(self) -> list[tuple[str, str]]:
-        return [] if self._whole is None else sorted(self._whole.tracks.items())
+    def _tracks(self, *of: str) -> list[str]:
+        """Lanes of some axes, and of none where one of them is empty."""
+        if self._whole is None:
+            return live_tracks([name for name in of if name])
+        return in_order((track for track, axis in self._whole.tracks.items() if axis in of), self._axes)
 
     def _right(self) -> rrb.Vertical:
         histograms = [

@@ -3,7 +3,7 @@
 import math
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -25,9 +25,14 @@ from servobench.hil.rows.row_states import (
 )
 from servobench.hil.verdict.verdict import VerdictKind
 
-STATE_ROOT: Final = "/state"
-_VERDICT, _ERROR, _DRIVE, _PHASE, _LINK, _DROPOUTS, _HOST, _INJECTED, _OTHER = range(9)
-"""The order of the lanes: Rerun lays them out by their paths."""
+if TYPE_CHECKING:
+    import rerun as rr
+    from rerun.blueprint import Visualizer
+
+STATES: Final = "/state"
+"""The entity of all lanes. Each is a component of it, called like its track: what the viewer writes above."""
+_VERDICT, _ERROR, _DROPOUTS, _INJECTED, _LINK, _HOST, _DRIVE, _PHASE, _OTHER = range(9)
+"""The order of the lanes."""
 VERDICT_TRACK: Final = "verdict"
 """Track of the whole run's verdict; an axis' track shows its speed error alone."""
 SETTLING, KEPT, BEYOND, NOT_JUDGED = "Settling", "Kept", "BEYOND", "Not judged"
@@ -79,9 +84,42 @@ _CAUSE_COLORS: Final = {
 }
 
 
-def track_path(track: str, axes: Sequence[str]) -> str:
-    """The entity of a lane."""
-    return f"{STATE_ROOT}/{_place(track, axes)}_{''.join(c if c.isalnum() else '_' for c in track)}"
+def live_tracks(axes: Sequence[str]) -> list[str]:
+    """Lanes of a run that still goes on."""
+    own = [f"{axis} {kind}" for kind in ("drive", "link") for axis in axes]
+    return in_order(["phase", "host", *own], axes)
+
+
+def in_order(tracks: Iterable[str], axes: Sequence[str]) -> list[str]:
+    """Lanes from above to below: those that a low screen cuts off tell least."""
+    return sorted(tracks, key=lambda track: (_place(track, axes), track))
+
+
+def lane_column(track: str, labels: Sequence[str | None]) -> "rr.ComponentColumn":
+    """The labels of changes, (n,); None: nothing is known from then on."""
+    import pyarrow as pa
+    import rerun as rr
+
+    return rr.ComponentColumn(track, rr.AnyBatchValue(track, pa.array(labels, pa.string())))
+
+
+def lane(track: str, axes: Sequence[str]) -> "Visualizer":
+    """A lane of a view: below the words of its track, in the colours of its labels."""
+    import rerun as rr
+    from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
+
+    colors = lane_colors(track, axes)
+    source = VisualizerComponentMapping(
+        "StateChange:state", ComponentSourceKind.SourceComponent, source_component=track
+    )
+    if not colors:
+        return rr.StateConfiguration().visualizer(mappings=[source])
+    styled = rr.StateConfiguration(
+        values=list(colors),
+        labels=[" " if label == QUIET else label for label in colors],
+        colors=np.array(list(colors.values()), np.uint32),
+    )
+    return styled.visualizer(mappings=[source])
 
 
 def _place(track: str, axes: Sequence[str]) -> int:

@@ -19,12 +19,13 @@ from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Instant
 from servobench.hil.loop.samples import CommandFate
 from servobench.hil.recording.blueprint import EVENTS, HISTOGRAM, MARKS_MAX, SUMMARY, VERDICT, Whole, layout
 from servobench.hil.recording.lanes import (
+    STATES,
     VERDICT_TRACK,
     FaultWindows,
     dropout_lane,
     error_lane,
-    lane_colors,
-    track_path,
+    lane_column,
+    live_tracks,
 )
 from servobench.hil.recording.observed_frames import ObservedFrames
 from servobench.hil.recording.page_series import (
@@ -218,9 +219,7 @@ class Telemetry:
             begin_s=(begin - margin) / NS_PER_S,
             end_s=(end + margin) / NS_PER_S,
             tracks={
-                track_path(track, self._axes): next(
-                    (name for name in self._axes if track.rpartition(" ")[0] == name), ""
-                )
+                track: next((name for name in self._axes if track.rpartition(" ")[0] == name), "")
                 for track, shown in self._shown.items()
                 if shown and not track.endswith(" link") and (track != "host" or self._missed)
             },
@@ -272,6 +271,9 @@ class Telemetry:
         )
         self._stream.send_property(_PROPERTIES, rr.AnyValues(**told))
         self._told = told
+        before = np.array([min([origin, *(event.at for event in held)]) - NS_PER_S])
+        for track in live_tracks(self._axes):  # a view complains of a lane that is not there yet
+            self._stream.send_columns(STATES, self._times(before), [lane_column(track, [None])])
         self.take_events(held)
 
     def _note_instants(self, first_at: int, last_at: int) -> None:
@@ -360,18 +362,9 @@ class Telemetry:
                 kept.append(change)
         if not kept:
             return
-        path = track_path(track, self._axes)
-        if (colors := lane_colors(track, self._axes)) and len(shown) == len(kept):
-            values = list(colors)
-            styled = rr.StateConfiguration(
-                values=values,
-                labels=[" " if value == QUIET else value for value in values],
-                colors=np.array(list(colors.values()), np.uint32),
-            )
-            self._stream.log(path, styled, static=True)
         times = np.array([change.at for change in kept])
-        states = rr.StateChange.columns(state=[change.label for change in kept])
-        self._stream.send_columns(path, self._times(times), states)
+        column = lane_column(track, [change.label for change in kept])
+        self._stream.send_columns(STATES, self._times(times), [column])
 
     def _show_verdict(self, summary: Summary | None) -> None:
         text = verdict_markdown(self._plan, summary, self._told)

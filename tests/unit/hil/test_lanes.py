@@ -14,8 +14,8 @@ from servobench.hil.recording.lanes import (
     FaultWindows,
     dropout_lane,
     error_lane,
+    in_order,
     lane_colors,
-    track_path,
 )
 from servobench.hil.reviewing.envelope import CodeLane, Envelope
 from servobench.hil.reviewing.review import Review
@@ -27,24 +27,22 @@ AXES: Final = ("axis1", "left arm")
 RED, GOOD, AMBER, DIM, DARK = 0xB3202AFF, 0x1565C0FF, 0xD9A520FF, 0x3F4650FF, 0x1B1E23FF
 
 
-@pytest.mark.parametrize(
-    ("track", "path"),
-    [
-        ("verdict", "/state/0_verdict"),
-        ("axis1 error", "/state/1_axis1_error"),
-        ("left arm drive", "/state/2_left_arm_drive"),
-        ("phase", "/state/3_phase"),
-        ("axis1 link", "/state/4_axis1_link"),
-        ("axis1 dropouts", "/state/5_axis1_dropouts"),
-        ("host", "/state/6_host"),
-        ("injected loss: drive", "/state/7_injected_loss__drive"),
-        ("axis1 mode", "/state/8_axis1_mode"),
-        ("axis2 drive", "/state/8_axis2_drive"),
-        ("drive", "/state/8_drive"),
-    ],
-)
-def test_lanes_are_ordered_by_what_they_tell(track: str, path: str) -> None:
-    assert track_path(track, AXES) == path
+def test_lanes_are_ordered_by_what_they_tell() -> None:
+    """A low screen cuts off the last."""
+    tracks = [
+        *(
+            "verdict",
+            "axis1 error",
+            "left arm error",
+            "axis1 dropouts",
+            "injected loss",
+            "axis1 link",
+            "host",
+        ),
+        *("axis1 drive", "left arm drive", "phase"),
+        *("axis1 mode", "axis2 drive", "drive"),
+    ]
+    assert in_order(sorted(tracks), AXES) == tracks
 
 
 @pytest.mark.parametrize(

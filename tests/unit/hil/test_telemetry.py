@@ -21,7 +21,7 @@ from servobench.hil.rows.side_rows import BeginEvent, IdentityEvent, RunEvent, S
 from servobench.hil.verdict.limits import VerdictLimits
 from servobench.hil.verdict.plain_values import from_plain
 from servobench.hil.verdict.summary import Summary, summarise
-from tests.rrd_columns import columns, numbers, view_ranges
+from tests.rrd_columns import columns, lane, numbers, view_ranges
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import plain_rows, rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
@@ -143,18 +143,18 @@ def test_the_clock_is_shown_from_where_it_began_with_its_bounds(tmp_path: Path, 
 def test_cycles_without_sync_have_a_lane_of_their_own(tmp_path: Path) -> None:
     rows = plain_rows(6, fate=[0, 0, FATE_MISSED, FATE_MISSED, 0, 0])
     path = write_run(plan_for(tmp_path), rows, events=())
-    times, states = columns(path, "/state/6_host", "StateChange:state")
+    times, states = lane(path, "host")
     assert states == [["In time"], ["MISSED"], ["In time"]]
     assert times.tolist() == [0, 2 * NS_PER_MS, 4 * NS_PER_MS]
 
 
 def test_states_of_loop_and_records_share_a_track(recording: Path) -> None:
-    times, states = columns(recording, "/state/2_axis1_drive", "StateChange:state")
+    times, states = lane(recording, "axis1 drive")
     assert states == [["Switched on"], ["Operation enabled"]]
     assert times[0] == -5 * NS_PER_MS
     assert 0 < times[1] < NS_PER_MS, "when the statusword came, not when the cycle was due"
-    assert columns(recording, "/state/3_phase", "StateChange:state")[1] == [["Load step"]]
-    link = [state for (state,) in columns(recording, "/state/4_axis1_link", "StateChange:state")[1]]
+    assert lane(recording, "phase")[1] == [["Load step"]]
+    link = [state for (state,) in lane(recording, "axis1 link")[1]]
     assert link[0] == "OK"
     assert "DOWN" in link
 
@@ -179,7 +179,7 @@ def test_a_state_told_twice_is_shown_once_whichever_came_first(
     telemetry.take_events(() if events_first else told[2:])
     outcome = whole_outcome(review.figures().cycles)
     telemetry.finish(summarise(review.figures(), outcome, plan.review.limits, "", 1), review)
-    _, states = columns(path, "/state/2_axis1_drive", "StateChange:state")
+    _, states = lane(path, "axis1 drive")
     assert states == [["Operation enabled"], ["Switch on disabled"]]
 
 
@@ -258,7 +258,7 @@ def test_a_long_run_has_an_envelope_beside_its_rows(tmp_path: Path) -> None:
 def test_dropouts_have_a_lane_by_cause(tmp_path: Path) -> None:
     rows = plain_rows(8, fate=[0, 1, 1, 0, 2, 3, 0, FATE_MISSED])
     path = write_run(plan_for(tmp_path), rows, events=())
-    _, states = columns(path, "/state/5_axis1_dropouts", "StateChange:state")
+    _, states = lane(path, "axis1 dropouts")
     assert [state for (state,) in states] == ["-", "Lost", "-", "Late", "Stale", "-", "Missed", "-"]
 
 
@@ -266,7 +266,7 @@ def test_a_stretch_with_few_dropouts_is_told_from_one_without_readings(tmp_path:
     rows = plain_rows(60_000, fate=np.where(np.arange(60_000) % 50 == 7, 1, 0))
     rows["fate"][30_000:31_000] = 1
     path = write_run(plan_for(tmp_path), rows, events=())
-    times, states = columns(path, "/state/5_axis1_dropouts", "StateChange:state")
+    times, states = lane(path, "axis1 dropouts")
     lost = [at / 1e9 for at, (state,) in zip(times, states, strict=True) if state == "Lost"]
     assert len(lost) == 1
     assert lost[0] == pytest.approx(30.0, abs=0.2)
@@ -282,10 +282,10 @@ def test_the_lane_of_the_error_is_red_where_its_limit_is_broken(tmp_path: Path) 
     velocity[600:650] = 94.0
     rows = plain_rows(1_000, reference=reference, velocity=velocity)
     path = write_run(plan, rows, events=())
-    times, states = columns(path, "/state/1_axis1_error", "StateChange:state")
+    times, states = lane(path, "axis1 error")
     assert [state for (state,) in states] == ["Kept", "Settling", "Kept", "BEYOND", "Kept", "-"]
     np.testing.assert_allclose(times / NS_PER_MS, [0, 100, 350, 600, 650, 999], atol=2)
-    _, outcome = columns(path, "/state/0_verdict", "StateChange:state")
+    _, outcome = lane(path, "verdict")
     assert [state for (state,) in outcome] == ["Not passed", "-"]
     # the limit is drawn where it holds: not while the speed settles
     times, most = numbers(path, "/limits/axis1/error/most")
@@ -300,7 +300,7 @@ def test_an_injected_fault_has_a_lane(tmp_path: Path) -> None:
         StateEvent(Instant(5 * NS_PER_MS), track, "-"),
     )
     path = write_run(plan_for(tmp_path), plain_rows(9), events=events)
-    times, states = columns(path, "/state/7_injected_loss", "StateChange:state")
+    times, states = lane(path, "injected loss")
     assert [state for (state,) in states] == ["-", "Injected", "-"]
     assert (times / NS_PER_MS).tolist() == [0, 2, 5]
 
