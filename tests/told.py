@@ -34,6 +34,7 @@ CHANGING: Final = (
         re.compile(r"(Computing|computing time|times real time|Pace|Open with|min_margin) .*"),
         r"\1",
     ),
+    (re.compile(r"commands_computing [^,)]+"), "commands_computing"),
     (re.compile(r"(simulated servo drive)( [0-9a-f]{10}\S*)?(?= (one|two)$)", re.MULTILINE), r"\1 COMMIT"),
     (re.compile(r'"(compute_us|realtime_factor)": ([{][^}]*[}]|[\d.]+)'), r'"\1"'),
     (re.compile(r" [\d.]+/s .* left at most|[\d.]+ runs a second"), ""),

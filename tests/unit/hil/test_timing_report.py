@@ -21,11 +21,13 @@ def health(**counts: int) -> Any:
     )
 
 
-def axis(stamped: Any = None, ordered: Any = None, ready: bool = False) -> Axis:
+def axis(stamped: Any = None, ordered: Any = None, ready: bool = False, coarse: bool = False) -> Axis:
     clock = SimpleNamespace(ready=ready, offset_ns=-2_500, error_ns=1_500, drift_ppm=3.0, drift_error_ppm=0.5)
     made = SimpleNamespace(
         parts=SimpleNamespace(name="axis1"),
-        by_stamp=SimpleNamespace(health=stamped or health(), clock=clock),
+        by_stamp=SimpleNamespace(
+            health=stamped or health(), clock=clock, stamps=SimpleNamespace(coarse=coarse)
+        ),
         by_order=SimpleNamespace(health=ordered or health()),
         meter=SimpleNamespace(unmatched=100),
         commands=SimpleNamespace(unexplained=7),
@@ -81,4 +83,5 @@ def test_a_stamp_that_does_not_say_which_cycle_it_was_is_a_doubt_and_order_says_
     doubt = "axis1: a sampling instant is known to 500 us only, more than half a period"
     assert distrust([axis(health(stamp_error_ns_max=500_000))], PERIOD) == ()
     assert distrust([axis(health(stamp_error_ns_max=500_001))], PERIOD) == (doubt,)
+    assert distrust([axis(health(stamp_error_ns_max=500_001), coarse=True)], PERIOD) == (), "it is known to"
     assert distrust([axis(None, health(stamp_error_ns_max=900_000))], PERIOD) == ()
