@@ -202,3 +202,23 @@ def test_a_warning_is_bit_7_of_the_statusword() -> None:
     bench.wait_ms(100)
     assert bench.statusword & Status.WARNING
     assert bench.statusword & Status.INTERNAL_LIMIT_ACTIVE, "the current is limited"
+
+
+def no_load_speed(motor: PmsmParameters, volts: float) -> float:
+    """rad/s at which the back-EMF takes the largest voltage of the link."""
+    return motor.voltage_max_v * volts / motor.dc_bus_voltage_v / (motor.pole_pairs * motor.flux_linkage_wb)
+
+
+@pytest.mark.parametrize("supply", [None, Supply(300.0, 0.01, 1e-3, feeds_back=True)])
+def test_the_speed_that_a_motor_reaches_follows_its_source(supply: Supply | None) -> None:
+    motor = replace(LING2012.parameters, viscous_friction_nm_s=0.0)
+    firmware = started(motor, supply)
+    firmware.control(InnerControl.SPEED)
+    firmware.scale_supply(0.25)
+    at(firmware, 0.01)
+    firmware.ramp_to_speed(400.0, 2000.0)
+    at(firmware, 2.0)
+    assert firmware.speed_rad_s == pytest.approx(no_load_speed(motor, 75.0), rel=0.03)
+    firmware.scale_supply(1.0)
+    at(firmware, 4.0)
+    assert firmware.speed_rad_s == pytest.approx(400.0, rel=1e-3)
