@@ -79,4 +79,11 @@ static inline bool takes_between(PyObject *arguments, PyObject *names, Py_ssize_
     return well;
 }
 
+/* Show a type in `module`; `*place` is it, with a reference as long as the process is there. */
+static inline bool add_type(PyObject *module, const char *name, PyType_Spec *spec, PyTypeObject **place)
+{
+    *place = (PyTypeObject *)PyType_FromSpec(spec);
+    return *place != NULL && PyModule_AddObjectRef(module, name, (PyObject *)*place) == 0;
+}
+
 #endif

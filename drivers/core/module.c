@@ -15,13 +15,6 @@ static PyModuleDef definition = {
     .methods = functions,
 };
 
-/* `*place` is the type, with a reference as long as the process is there. */
-static bool show_type(PyObject *module, const char *name, PyType_Spec *spec, PyTypeObject **place)
-{
-    *place = (PyTypeObject *)PyType_FromSpec(spec);
-    return *place != NULL && PyModule_AddObjectRef(module, name, (PyObject *)*place) == 0;
-}
-
 /* The fields of a frame, as servobench.drivers.record has them of a record. */
 static bool name_fields(void)
 {
@@ -43,8 +36,8 @@ static bool name_fields(void)
 static bool fill(PyObject *module)
 {
     PyTypeObject *pump_type;
-    return show_type(module, "WireFrame", &frame_spec, &frame_type) && name_fields()
-           && show_type(module, "Link", &link_spec, &link_type) && show_type(module, "Pump", &pump_spec, &pump_type)
+    return add_type(module, "WireFrame", &frame_spec, &frame_type) && name_fields()
+           && add_type(module, "Link", &link_spec, &link_type) && add_type(module, "Pump", &pump_spec, &pump_type)
            && PyModule_AddStringConstant(module, "SOURCES_DIGEST", SOURCES_DIGEST) == 0;
 }
 

@@ -1,5 +1,6 @@
 /* The module servobench.hil.core.native; native.pyi says what it holds. */
 #include "frames.h"
+#include "objects.h"
 #include "types.h"
 
 static PyMethodDef functions[] = {
@@ -13,13 +14,6 @@ static PyModuleDef definition = {
     .size = -1,
     .methods = functions,
 };
-
-/* `*place` is the type, with a reference as long as the process is there. */
-static bool add_type(PyObject *module, const char *name, PyType_Spec *spec, PyTypeObject **place)
-{
-    *place = (PyTypeObject *)PyType_FromSpec(spec);
-    return *place != NULL && PyModule_AddObjectRef(module, name, (PyObject *)*place) == 0;
-}
 
 PyTypeObject *frame_type;
 

@@ -28,7 +28,7 @@ void advance_link(LinkState *state, const DcLink *p, double watts)
 {
     double taken = 2.0 * (watts + p->idle_w) * p->step_s / p->capacitance_f;
     if (state->volts >= p->chopper_on_v)
-        state->chopping = p->chopper_broken ? 0.0 : 1.0;
+        state->chopping = 1.0;
     else if (state->volts <= p->chopper_off_v)
         state->chopping = 0.0;
     for (int step = 0; step < (int)p->steps; step++) {

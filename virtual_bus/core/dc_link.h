@@ -5,7 +5,6 @@
 typedef struct DcLink {
     int active;     /* 0: the link is a source without end, and nothing of this counts */
     int feeds_back; /* the source takes energy back; 0: a rectifier, whose diodes block */
-    int chopper_broken;
     double source_v, source_siemens;
     double capacitance_f;
     double chopper_siemens; /* 0: none */

@@ -357,7 +357,6 @@ static PyMemberDef members[] = {
     PARAMETER(mechanism, per_stribeck),
     {"supplied", T_INT, PLACE(dc_link.active), 0, NULL},
     {"feeds_back", T_INT, PLACE(dc_link.feeds_back), 0, NULL},
-    {"chopper_broken", T_INT, PLACE(dc_link.chopper_broken), 0, NULL},
     PARAMETER(dc_link, source_v),
     PARAMETER(dc_link, source_siemens),
     PARAMETER(dc_link, capacitance_f),

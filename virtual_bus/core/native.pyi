@@ -80,7 +80,6 @@ class InnerLoops:
     supplied: int
     """0: the link is a source without end, and nothing of this part counts."""
     feeds_back: int
-    chopper_broken: int
     source_v: float
     """Also with ``supplied`` 0: what the protection then sees."""
     source_siemens: float
