@@ -63,7 +63,7 @@ def speed_noise_rad_s(drive: FirmwareParameters) -> float:
     a (1 - z^-1)/(1 - (1 - a) z^-1), whose impulse response has the square sum 2 a^2/(2 - a).
     """
     tick_s = 1.0 / drive.inner_rate_hz
-    a = tick_s / (tick_s + 1.0 / (math.tau * drive.speed_filter_hz))
+    a = tick_s / (tick_s + 1.0 / (math.tau * (drive.speed.filter_hz or math.inf)))
     rounding_rad = math.tau / drive.encoder_counts_per_revolution / math.sqrt(12.0)
     return rounding_rad / tick_s * a * math.sqrt(2.0 / (2.0 - a))
 

@@ -48,6 +48,7 @@ from servobench.virtual_bus.core.native import (
     user_position,
     wire_bits,
 )
+from servobench.virtual_bus.drive.encoder import Encoder, SineErrors, SpeedMethod, SpeedSensing
 from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
 from servobench.virtual_bus.drive.load_table import LoadTable
 from servobench.virtual_bus.frame import Frame
@@ -108,6 +109,13 @@ def drive(draw: random.Random) -> None:
         inner_rate_hz=rate_hz,
         encoder_counts_per_revolution=draw.choice([16, 1000, 65_536, 1 << 30]),
         controller_q=_controller(draw, rate_hz) if draw.random() < 0.3 else None,
+        encoder=_encoder(draw, rate_hz) if draw.random() < 0.5 else None,
+        speed=SpeedSensing(
+            draw.choice(list(SpeedMethod)),
+            draw.choice([None, 10.0 ** draw.uniform(0.0, 5.0)]),
+            draw.choice([None, 10.0 ** draw.uniform(5.0, 10.0)]),
+            rate_hz * draw.uniform(1e-4, 0.25),
+        ),
     )
     firmware = Firmware(motor, parameters)
     now = draw.randrange(1 << draw.randrange(1, 60))
@@ -122,6 +130,13 @@ def drive(draw: random.Random) -> None:
         assert firmware.tick_at <= now < firmware.tick_after(Instant(now + 1))
         _tell(firmware.inner, draw)
         assert len(firmware.inner.state()) == len(InnerLoops().state())
+
+
+def _encoder(draw: random.Random, rate_hz: int) -> Encoder:
+    sines = SineErrors(*(draw.uniform(-0.2, 0.2) for _ in range(4)))
+    lines, eccentricity_rad = draw.choice([1, 1000, 1 << 20]), draw.choice([0.0, 0.2])
+    delay_s = draw.random() / rate_hz
+    return Encoder(lines, draw.choice([None, sines]), eccentricity_rad, draw.uniform(-7.0, 7.0), delay_s)
 
 
 def _mechanism(draw: random.Random, motor: PmsmParameters) -> Mechanism:

@@ -158,7 +158,7 @@ def reference_drive(
     """The inner loops once more, in complex numbers and with the reference integrator behind them."""
     n, period, counts = motor.pole_pairs, PERIOD_S, parameters.encoder_counts_per_revolution
     alpha = math.tau * parameters.current_hz
-    filter_gain = period / (period + 1.0 / (math.tau * parameters.speed_filter_hz))
+    filter_gain = period / (period + 1.0 / (math.tau * (parameters.speed.filter_hz or math.inf)))
     x, applied, pending = np.zeros(4), None, None
     integral, speed, last_count = 0j, 0.0, 0
     rows = []

@@ -77,34 +77,51 @@ static void drive_motor(InnerLoops *self, double load_nm)
     advance_link(&self->link, &self->dc_link, watts);
 }
 
-/* Of the encoder at the load; the rotor has its own, by which the currents turn. */
-static double load_count(const InnerLoops *self)
+/* What the encoder turns with: the rotor, or the load behind the coupling. */
+static Place encoder_place(const InnerLoops *self)
 {
-    double angle = self->shaft.angle_rad - self->load_side.twist_rad;
+    const MotorState *shaft = &self->shaft;
+    if (!self->mechanism.encoder_on_load)
+        return (Place){shaft->turns, shaft->angle_rad};
+    double angle = shaft->angle_rad - self->load_side.twist_rad;
     double turns = floor(angle * PER_TURN);
-    double within_turn = floor((angle - turns * TURN_RAD) * self->loop.counts_per_rad);
-    return (self->shaft.turns + turns) * self->loop.counts + within_turn;
+    return (Place){shaft->turns + turns, angle - turns * TURN_RAD};
+}
+
+/* The count and, of it, the speed before the filter, rad/s. */
+static double count_encoder(InnerLoops *self)
+{
+    const Resolution *resolution = &self->resolution;
+    LoopState *state = &self->state;
+    double before = state->count, period_s = self->motor.period_s;
+    Place place = encoder_place(self);
+    if (self->encoder.active) {
+        double speed = self->mechanism.encoder_on_load ? self->load_side.speed_rad_s : self->shaft.speed_rad_s;
+        place = encoder_sees(&self->sensed, &self->encoder, place, speed, period_s);
+    }
+    if (!self->loop.encoder_held)
+        state->count = place.turns * resolution->counts + floor(place.angle_rad * resolution->counts_per_rad);
+    if (self->encoder.active)
+        return encoder_speed(&self->sensed, &self->encoder, resolution, state->count, before, place,
+                             (double)(self->ticks + 1), period_s);
+    return (state->count - before) * resolution->rad_per_count * self->motor.rate_hz;
 }
 
 /* What the firmware sees at the start of a period: encoder count, filtered speed, dq currents in the frame of
-   the encoder's angle, torque. Returns that electrical angle, rad. */
+   the encoder's angle, torque. Returns that electrical angle, rad. A rotor whose load has the encoder has one of
+   its own, by which the currents turn. */
 static double sample(InnerLoops *self)
 {
     const LoopParameters *p = &self->loop;
+    const Resolution *resolution = &self->resolution;
     const MotorState *shaft = &self->shaft;
     LoopState *state = &self->state;
-    double within_turn = floor(shaft->angle_rad * p->counts_per_rad);
-    double count = shaft->turns * p->counts + within_turn;
-    if (self->mechanism.encoder_on_load)
-        count = load_count(self);
-    if (p->encoder_held) {
-        count = state->count;
-        within_turn = count - p->counts * floor(count / p->counts);
-    }
-    double raw_speed = (count - state->count) * p->rad_per_count * self->motor.rate_hz;
-    state->count = count;
+    double raw_speed = count_encoder(self);
+    double within_turn = floor(shaft->angle_rad * resolution->counts_per_rad);
+    if (p->encoder_held || (self->encoder.active && !self->mechanism.encoder_on_load))
+        within_turn = state->count - resolution->counts * floor(state->count / resolution->counts);
     state->speed_measured_rad_s += p->speed_filter * (raw_speed - state->speed_measured_rad_s);
-    double angle = (within_turn + 0.5) * p->rad_per_count * self->motor.pole_pairs;
+    double angle = (within_turn + 0.5) * resolution->rad_per_count * self->motor.pole_pairs;
     SineCosine turn = sine_cosine(self->motor.pole_pairs * shaft->angle_rad - angle);
     state->current_d_measured_a = turn.cosine * shaft->current_d_a - turn.sine * shaft->current_q_a;
     state->current_q_measured_a = turn.sine * shaft->current_d_a + turn.cosine * shaft->current_q_a;

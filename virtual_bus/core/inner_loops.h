@@ -7,6 +7,7 @@
 
 #include "actual_values.h"
 #include "dc_link.h"
+#include "encoder.h"
 #include "load_table.h"
 #include "mechanism.h"
 #include "motor.h"
@@ -27,8 +28,6 @@ typedef struct CurrentController {
 } CurrentController;
 
 typedef struct LoopParameters {
-    double counts; /* of the encoder per turn */
-    double counts_per_rad, rad_per_count;
     double gain_d, gain_q, integral_gain, per_gain_d, per_gain_q;
     double decouple_d_h, decouple_q_h; /* need not be the motor's inductances */
     double speed_filter, speed_gain, speed_integral_gain, speed_limit_gain;
@@ -75,6 +74,9 @@ typedef struct TableLoad {
 typedef struct InnerLoops {
     MotorParameters motor;
     LoopParameters loop;
+    Resolution resolution; /* of the encoder */
+    Encoder encoder;
+    EncoderState sensed;
     MotorState shaft;
     Mechanism mechanism;
     LoadSide load_side;

@@ -283,7 +283,7 @@ static PyObject *call_state(PyObject *self, PyObject *none)
     (void)none;
     InnerLoops *loops = loops_of(self);
     char octets[sizeof loops->shaft + sizeof loops->load_side + sizeof loops->link + sizeof loops->watched
-                + sizeof loops->state];
+                + sizeof loops->sensed + sizeof loops->state];
     char *end = octets;
     memcpy(end, &loops->shaft, sizeof loops->shaft);
     end += sizeof loops->shaft;
@@ -293,6 +293,8 @@ static PyObject *call_state(PyObject *self, PyObject *none)
     end += sizeof loops->link;
     memcpy(end, &loops->watched, sizeof loops->watched);
     end += sizeof loops->watched;
+    memcpy(end, &loops->sensed, sizeof loops->sensed);
+    end += sizeof loops->sensed;
     memcpy(end, &loops->state, sizeof loops->state);
     return PyBytes_FromStringAndSize(octets, sizeof octets);
 }
@@ -386,9 +388,24 @@ static PyMemberDef members[] = {
     PARAMETER(watched, limiting),
     PARAMETER(watched, warning),
     {"trip", T_INT, PLACE(watched.trip), 0, NULL},
-    PARAMETER(loop, counts),
-    PARAMETER(loop, counts_per_rad),
-    PARAMETER(loop, rad_per_count),
+    PARAMETER(resolution, counts),
+    PARAMETER(resolution, counts_per_rad),
+    PARAMETER(resolution, rad_per_count),
+    {"encoder_active", T_INT, PLACE(encoder.active), 0, NULL},
+    {"encoder_distorted", T_INT, PLACE(encoder.distorted), 0, NULL},
+    {"encoder_sines", T_INT, PLACE(encoder.sines), 0, NULL},
+    {"speed_method", T_INT, PLACE(encoder.method), 0, NULL},
+    PARAMETER(encoder, lines),
+    PARAMETER(encoder, sine_offset),
+    PARAMETER(encoder, cosine_offset),
+    PARAMETER(encoder, sine_in_phase),
+    PARAMETER(encoder, sine_across),
+    PARAMETER(encoder, eccentricity_rad),
+    PARAMETER(encoder, eccentricity_phase_rad),
+    PARAMETER(encoder, delay_share),
+    PARAMETER(encoder, timer_hz),
+    PARAMETER(encoder, observer_position_gain),
+    PARAMETER(encoder, observer_speed_gain),
     PARAMETER(loop, gain_d),
     PARAMETER(loop, gain_q),
     PARAMETER(loop, integral_gain),

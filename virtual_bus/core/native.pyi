@@ -113,6 +113,30 @@ class InnerLoops:
     """Counts of the encoder per turn."""
     counts_per_rad: float
     rad_per_count: float
+    encoder_active: int
+    """0: an ideal encoder, its speed by the difference of counts, and nothing of this part counts."""
+    encoder_distorted: int
+    """1: it sees the shaft elsewhere than it is."""
+    encoder_sines: int
+    """1: the signals of a line are a sine and a cosine with errors."""
+    speed_method: int
+    """0: difference of counts, 1: time between edges, 2: observer."""
+    lines: float
+    sine_offset: float
+    """Of the cosine's amplitude, as are the next three."""
+    cosine_offset: float
+    sine_in_phase: float
+    sine_across: float
+    eccentricity_rad: float
+    eccentricity_phase_rad: float
+    delay_share: float
+    """Of an inner period, 0 to 1."""
+    timer_hz: float
+    """0: edges are timed without steps."""
+    observer_position_gain: float
+    """1/s."""
+    observer_speed_gain: float
+    """1/s^2."""
     gain_d: float
     gain_q: float
     integral_gain: float

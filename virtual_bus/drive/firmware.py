@@ -23,6 +23,14 @@ from servobench.drivers.timebase import NS_PER_S, Instant
 from servobench.virtual_bus.core.native import InnerLoops
 from servobench.virtual_bus.drive.current_bandwidth import current_bandwidth_hz
 from servobench.virtual_bus.drive.current_controller import check_controller, fill_controllers
+from servobench.virtual_bus.drive.encoder import (
+    BY_DIFFERENCE,
+    Encoder,
+    SpeedSensing,
+    check_encoder,
+    count_rad_s,
+    fill_encoder,
+)
 from servobench.virtual_bus.drive.load_table import LoadTable
 from servobench.virtual_bus.drive.mechanism import fill_mechanism, steps_in
 from servobench.virtual_bus.drive.power_stage import Protection, Supply, fill_power_stage
@@ -71,7 +79,7 @@ def fill_machine(inner: InnerLoops, motor: PmsmParameters, period_s: float) -> N
 _REST_SPEED_RAD_S: Final = 0.5
 """5 rpm, which a stop calls standstill; of an encoder whose counts make more, what they make."""
 _COUNTS_AT_REST: Final = 1.5
-"""Encoder counts per inner period that still pass for rest: the last count may flicker."""
+"""What a flicker of so many counts makes of the speed still passes for rest."""
 
 _MOTION_RATE_HZ: Final = 1000
 """Profiles and the position loop run this often, or at the inner rate if that is slower."""
@@ -97,8 +105,10 @@ class FirmwareParameters:
     speed_bandwidth_hz: float = 30.0
     speed_limit_bandwidth_hz: float = 100.0
     """How fast the torque is taken back in front of the speed limit: inertia * 2 pi * this, N m s/rad."""
-    speed_filter_hz: float = 500.0
-    """Corner of the first-order filter behind the encoder's count difference."""
+    encoder: Encoder | None = None
+    """Its errors; None: none."""
+    speed: SpeedSensing = BY_DIFFERENCE
+    """How counts are made into 606Ch."""
     brake_torque_nm: float | None = None
     """Holding brake; None: twice the motor's rated torque, 0: no brake."""
     controller_d: StateSpace | None = None
@@ -125,8 +135,7 @@ class FirmwareParameters:
         check_controller(self.controller_q, self.inner_rate_hz)
         if not (self.resistance_factor > 0.0 and self.inductance_factor > 0.0):
             raise ValueError("resistance_factor and inductance_factor: more than 0 expected")
-        if not self.speed_filter_hz > 0.0:
-            raise ValueError(f"speed_filter_hz {self.speed_filter_hz}: more than 0 expected")
+        check_encoder(self.inner_rate_hz, self.encoder, self.speed)
 
     @property
     def current_hz(self) -> float:
@@ -176,16 +185,14 @@ class Firmware:
         inner.per_gain_d = 1.0 / inner.gain_d
         inner.per_gain_q = 1.0 / inner.gain_q
         inner.integral_gain = alpha * motor.resistance_ohm * period_s
-        inner.speed_filter = period_s / (period_s + 1.0 / (math.tau * parameters.speed_filter_hz))
         speed_alpha = math.tau * parameters.speed_bandwidth_hz
         inner.speed_gain = speed_alpha * motor.inertia_kg_m2
         inner.speed_integral_gain = speed_alpha * inner.speed_gain / 4.0
         inner.speed_limit_gain = math.tau * parameters.speed_limit_bandwidth_hz * motor.inertia_kg_m2
-        count_rad_s = math.tau / parameters.encoder_counts_per_revolution / period_s
-        inner.rest_speed_rad_s = max(_REST_SPEED_RAD_S, _COUNTS_AT_REST * inner.speed_filter * count_rad_s)
-        inner.counts = parameters.encoder_counts_per_revolution
-        inner.counts_per_rad = parameters.encoder_counts_per_revolution / math.tau
-        inner.rad_per_count = math.tau / parameters.encoder_counts_per_revolution
+        counts = parameters.encoder_counts_per_revolution
+        fill_encoder(inner, counts, period_s, parameters.encoder, parameters.speed)
+        flicker_rad_s = _COUNTS_AT_REST * count_rad_s(counts, period_s, parameters.speed)
+        inner.rest_speed_rad_s = max(_REST_SPEED_RAD_S, flicker_rad_s)
 
     def _set_limits(self) -> None:
         brake = self.parameters.brake_torque_nm

@@ -25,14 +25,21 @@ sys.modules[name] = module_from_spec(spec)
 from servobench.drivers.timebase import Instant
 from tests.motors import AZAIZ
 from servobench.design.mechanism import CoggingHarmonic, Coupling, Friction, Mechanism
+from servobench.virtual_bus.drive.encoder import Encoder, SineErrors, SpeedMethod, SpeedSensing
 from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
 
 rigid = replace(AZAIZ, coulomb_friction_nm=0.1)
 real = Mechanism(
     Coupling(5e-4, 6e-4, 300.0, 0.02, 0.002), Friction(0.3, 2.0, 0.15), (CoggingHarmonic(24, 0.2, 1.0),)
 )
-for motor in (rigid, replace(rigid, mechanism=real)):
-    firmware = Firmware(motor, FirmwareParameters())
+seen = FirmwareParameters(
+    encoder=Encoder(512, SineErrors(0.02, -0.01, 0.01, 0.02), 1e-3, 0.5, 2e-5),
+    speed=SpeedSensing(SpeedMethod.EDGES, 900.0, 1e8),
+)
+followed = replace(seen, speed=SpeedSensing(SpeedMethod.OBSERVER, None))
+flexible = replace(rigid, mechanism=real)
+for motor, parameters in ((rigid, FirmwareParameters()), (flexible, seen), (flexible, followed)):
+    firmware = Firmware(motor, parameters)
     now = 0
     for step in range(30):
         firmware.control(InnerControl.TORQUE)
@@ -86,7 +93,7 @@ def states(core: Path) -> list[str]:
 def test_the_same_bits_from_every_compiler_at_every_optimisation(tmp_path: Path) -> None:
     """No fused product, no reordered sum, no library function: so the bits are the same on any machine."""
     used = states(ROOT / "virtual_bus" / "core" / LIBRARY)
-    assert len(set(used)) == len(used) == 60
+    assert len(set(used)) == len(used) == 90
     for name, compiler in COMPILERS.items():
         for level in ("-O0", "-O3"):
             core = built(tmp_path / f"{name}{level}.so", compiler, level)

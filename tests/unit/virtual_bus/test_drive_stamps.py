@@ -10,6 +10,7 @@ import pytest
 from servobench.drivers.timebase import NS_PER_US, Instant
 from servobench.virtual_bus.bus.port import Listener
 from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.drive.encoder import SpeedSensing
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from servobench.virtual_bus.frame import Frame
@@ -128,7 +129,7 @@ def test_a_task_with_jitter_samples_stamps_and_answers_late() -> None:
 
 
 def test_a_task_with_jitter_samples_the_shaft_when_it_acts() -> None:
-    bench = ServoBench(DriveParameters(sync_jitter_us=500, speed_filter_hz=1e6))
+    bench = ServoBench(DriveParameters(sync_jitter_us=500, speed=SpeedSensing(filter_hz=None)))
     bench.turn(300)
     moved = []
     for _ in range(20):

@@ -214,7 +214,6 @@ def test_brake_holds_a_resting_shaft_against_the_load_as_far_as_it_can(
         ("encoder_counts_per_revolution", 8),
         ("current_bandwidth_hz", 2001.0),
         ("current_bandwidth_hz", 0.0),
-        ("speed_filter_hz", 0.0),
     ],
 )
 def test_settings_that_cannot_work_are_refused_by_name(name: str, value: float) -> None:
