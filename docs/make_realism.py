@@ -17,7 +17,6 @@ from matplotlib.figure import Figure
 from servobench import Run, run
 
 ROOT: Final = Path(__file__).parents[1]
-_MOTOR: Final = "drive.axis1.motor"
 _RPM_PER_RAD_S: Final = 9.549296585513721
 _INK, _IDEAL, _REAL = "#303540", "#9fc5e8", "#b3401f"
 _SLOW: Final = {
@@ -35,21 +34,24 @@ _TURNING: Final = {
 
 
 class Case(NamedTuple):
-    """One effect: ``motor`` are its tables, ``bench`` what both runs have of their own."""
+    """One effect: its keys of ``drive.axis1``; ``bench``: keys of both runs."""
 
-    motor: Mapping[str, Any]
+    effect: Mapping[str, Any]
     bench: Mapping[str, Any] = {}
     from_s: float = 0.15
     to_s: float = 0.6
 
 
 CASES: Final[Mapping[str, Case]] = {
-    "coupling": Case({"coupling": {"inertia_ratio": 4.0, "antiresonance_hz": 150.0}}),
-    "backlash": Case({"coupling": {"antiresonance_hz": 300.0, "backlash_rad": 0.007}}, to_s=1.2),
+    "coupling": Case({"motor.coupling": {"inertia_ratio": 4.0, "antiresonance_hz": 150.0}}),
+    "backlash": Case({"motor.coupling": {"antiresonance_hz": 300.0, "backlash_rad": 0.007}}, to_s=1.2),
     "friction": Case(
-        {"mechanics.coulomb_friction_nm": 0.1, "friction": {"breakaway_nm": 0.4}}, _TURNING, to_s=1.6
+        {"motor.mechanics.coulomb_friction_nm": 0.1, "motor.friction": {"breakaway_nm": 0.4}},
+        _TURNING,
+        to_s=1.6,
     ),
-    "cogging": Case({"cogging": [{"per_turn": 24, "torque_nm": 0.04}]}, _SLOW, to_s=1.2),
+    "cogging": Case({"motor.cogging": [{"per_turn": 24, "torque_nm": 0.04}]}, _SLOW, to_s=1.2),
+    "encoder": Case({"simulation.encoder_counts_per_revolution": 4096}, to_s=1.2),
 }
 
 
@@ -69,7 +71,7 @@ def main() -> None:
 def runs_of(case: Case) -> tuple[Run, Run]:
     """Without the effect and with it."""
     bench = ROOT / "examples" / "ling2012.toml"
-    effect = {f"{_MOTOR}.{key}": tables for key, tables in case.motor.items()}
+    effect = {f"drive.axis1.{key}": value for key, value in case.effect.items()}
     return run(bench, case.bench), run(bench, {**case.bench, **effect})
 
 

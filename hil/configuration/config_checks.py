@@ -12,7 +12,7 @@ from servobench.drivers.cia402.pdo_plans import Features, PlanWish
 from servobench.drivers.cia402.profile import BENCH_MODES
 from servobench.drivers.errors import MISSING, BadInput
 from servobench.drivers.key_advice import nearest
-from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Duration
+from servobench.drivers.timebase import NS_PER_S, NS_PER_US, US_PER_S, Duration
 from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.hil.configuration.config import BenchConfig, Bus, BusSegment, Host
 from servobench.hil.configuration.config_axis import DriveConfig, observed_faults
@@ -232,6 +232,15 @@ def _simulations(config: BenchConfig) -> Iterator[Fault]:
         beside = [name for name in ("eds", "motor") if getattr(simulation, name) is not None]
         if simulation.rehearse is not None and beside:
             yield f"{key}.rehearse", simulation.rehearse, f"no {key}.{beside[0]} beside it", ""
+        encoder = None if simulation.like is None else simulation.like.encoder
+        period_us = US_PER_S / simulation.inner_rate_hz
+        if encoder is not None and encoder.delay_us > period_us:
+            expected = f"at most {period_us:g}, an inner period"
+            yield f"{key}.like.encoder.delay_us", encoder.delay_us, expected, ""
+        fastest_rad_s = 0.25 * simulation.inner_rate_hz
+        if encoder is not None and encoder.speed.bandwidth_rad_s > fastest_rad_s:
+            expected = f"at most {fastest_rad_s:g}, a quarter of inner_rate_hz"
+            yield f"{key}.like.encoder.speed.bandwidth_rad_s", encoder.speed.bandwidth_rad_s, expected, ""
         unit_us, resolution_us = simulation.stamp_unit_us, simulation.stamp_resolution_us
         if resolution_us < unit_us:
             yield f"{key}.stamp_resolution_us", resolution_us, f"at least stamp_unit_us = {unit_us:g}", ""

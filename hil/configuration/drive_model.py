@@ -1,16 +1,19 @@
-"""Files of simulated drives: their source, ``[supply]``, and limits of their power stage, ``[protection]``.
+"""Files of simulated drives: their source, ``[supply]``, limits of their power stage, ``[protection]``, and
+their ``[encoder]``.
 
 ``like`` of ``[drive.NAME.simulation]`` names one, or has its tables.
 """
 
+import math
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from servobench.drivers.bounded_file import NamedBy
 from servobench.hil.configuration.config_files import Section, load_file
 from servobench.hil.configuration.quantities import Current, Resistance, Voltage
+from servobench.virtual_bus.drive.encoder import Encoder, SineErrors, SpeedMethod, SpeedSensing
 from servobench.virtual_bus.drive.power_stage import Chopper, Overload, Protection, Supply
 
 _TIME_CONSTANT_MIN_S = 1e-5
@@ -134,11 +137,91 @@ class ProtectionTable(Section):
         )
 
 
+_SPEED_FILTER_HZ = 500.0
+"""Of the difference of counts, which is told in steps of a count a period without it."""
+_METHODS = {
+    "difference": SpeedMethod.DIFFERENCE,
+    "edges": SpeedMethod.EDGES,
+    "observer": SpeedMethod.OBSERVER,
+}
+OffsetPercent = Annotated[float, Field(ge=-20.0, le=20.0)]
+
+
+class EncoderSpeedTable(Section):
+    """``[encoder.speed]``: how the drive makes counts into 606Ch."""
+
+    method: Literal["difference", "edges", "observer"] = "difference"
+    """Counts of an inner period; the time between edges (M/T); a loop that follows the count."""
+    filter_hz: float | None = Field(default=None, ge=1.0, le=50_000.0)
+    """Corner of the first-order filter behind it; default: 500 of the difference, else no filter."""
+    timer_ns: float = Field(default=10.0, ge=0.1, le=10_000.0)
+    """Step of the timer of the edges."""
+    bandwidth_rad_s: float = Field(default=1000.0, ge=1.0, le=4000.0)
+    """Of the observer."""
+
+    @property
+    def parameters(self) -> SpeedSensing:
+        """The speed sensing of the simulated drive."""
+        filter_hz = self.filter_hz
+        if filter_hz is None and self.method == "difference":
+            filter_hz = _SPEED_FILTER_HZ
+        return SpeedSensing(_METHODS[self.method], filter_hz, 1e9 / self.timer_ns, self.bandwidth_rad_s)
+
+
+class EncoderTable(Section):
+    """``[encoder]``: errors of the encoder; its counts are ``encoder_counts_per_revolution`` of the bench."""
+
+    lines: int = Field(default=1024, ge=1, le=1 << 20, description="signal periods of a turn")
+    sine_offset_percent: OffsetPercent = 0.0
+    """Of the cosine's amplitude, as are the next two; 1 % is up to 0.57 degrees of a line, once a line."""
+    cosine_offset_percent: OffsetPercent = 0.0
+    sine_gain_percent: OffsetPercent = 0.0
+    """By how much the sine's amplitude exceeds the cosine's: an error twice a line."""
+    quadrature_deg: float = Field(default=0.0, ge=-10.0, le=10.0)
+    """By how much sine and cosine are further apart than 90 degrees of a line."""
+    eccentricity_deg: float = Field(default=0.0, ge=0.0, le=10.0)
+    """Amplitude of the error once a turn, degrees of the shaft."""
+    eccentricity_phase_deg: float = Field(default=0.0, ge=-360.0, le=360.0)
+    delay_us: float = Field(default=0.0, ge=0.0, le=62.5)
+    """Age of the angle when the drive has it; at most an inner period."""
+    speed: EncoderSpeedTable = EncoderSpeedTable()
+
+    @property
+    def parameters(self) -> Encoder | None:
+        """The errors of the simulated drive's encoder; None: there are none."""
+        sines = SineErrors(
+            self.sine_offset_percent / 100.0,
+            self.cosine_offset_percent / 100.0,
+            self.sine_gain_percent / 100.0,
+            math.radians(self.quadrature_deg),
+        )
+        encoder = Encoder(
+            self.lines,
+            None if sines == SineErrors() else sines,
+            math.radians(self.eccentricity_deg),
+            math.radians(self.eccentricity_phase_deg),
+            self.delay_us * 1e-6,
+        )
+        return None if encoder == Encoder(self.lines) else encoder
+
+
 class DriveModel(Section):
     """A whole file of a simulated drive."""
 
     supply: SupplyTable | None = Field(default=None, description="the table [supply]")
     protection: ProtectionTable | None = Field(default=None, description="the table [protection]")
+    encoder: EncoderTable | None = Field(default=None, description="the table [encoder]")
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Fields of :class:`servobench.virtual_bus.drive.servo_parameters.DriveParameters`."""
+        encoder = EncoderTable() if self.encoder is None else self.encoder
+        return {
+            "supply": None if self.supply is None else self.supply.parameters,
+            "protection": None if self.protection is None else self.protection.parameters,
+            "encoder": encoder.parameters,
+            "speed": encoder.speed.parameters,
+        }
 
 
 def load_drive_model(path: Path, named_by: NamedBy | None = None) -> DriveModel:

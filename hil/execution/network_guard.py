@@ -39,6 +39,7 @@ from servobench.hil.configuration.drive_current_loop import (
 from servobench.hil.configuration.network_file import Network, commands_unknown, load_network
 from servobench.hil.loop.samples import CycleRecord, Sample
 from servobench.hil.rows.recording_plan import CertifiedPlan
+from servobench.virtual_bus.drive.encoder import SpeedMethod
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
 from servobench.virtual_bus.faults.kinds.drive_fault import DriveFault
 from servobench.virtual_bus.faults.kinds.safe_torque_off import SafeTorqueOff
@@ -323,6 +324,7 @@ class Certificates:
         for key, value, expected in self._axis_faults(axis):
             yield f"{key}: {value}, expected {expected}"
         yield from self._flexible(axis)
+        yield from self._sensed(axis)
         if self._config.simulated:
             for name in ("resistance_factor", "inductance_factor"):
                 if (factor := getattr(self._config.drive[axis].simulation, name)) != 1.0:
@@ -344,6 +346,20 @@ class Certificates:
         if mechanism is not None and mechanism.coupling is not None:
             found_hz = mechanism.coupling.resonance_hz
             yield f"{key}.coupling: resonance at {found_hz:.3g} Hz, expected a rigid shaft"
+
+    def _sensed(self, axis: str) -> Iterator[str]:
+        """A speed that is made otherwise than the controller's model has it."""
+        drive = self._config.drive[axis]
+        controller, like = drive.controller, drive.simulation.like
+        made = controller.certificate if isinstance(controller, HinfSection) else controller
+        filter_hz = getattr(made, "speed_filter_hz", None)
+        if filter_hz is None or like is None or like.encoder is None or not self._config.simulated:
+            return
+        speed = like.encoder.speed.parameters
+        if speed.method is not SpeedMethod.DIFFERENCE or speed.filter_hz != filter_hz:
+            corner = "no filter" if speed.filter_hz is None else f"{speed.filter_hz:g} Hz"
+            key = f"drive.{axis}.simulation.like.encoder.speed"
+            yield f"{key}: {like.encoder.speed.method}, {corner}, expected difference, {filter_hz:g} Hz"
 
 
 def _unknown(

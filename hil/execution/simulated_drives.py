@@ -70,7 +70,7 @@ def _simulated_drive(config: BenchConfig, axis: str) -> SimulatedServo:
     simulation, rate_hz = drive.simulation, drive.simulation.inner_rate_hz
     parameters = DriveParameters(
         **simulation.model_dump(exclude={"eds", "motor", "like", "rehearse"}),
-        **power_stage_of(simulation.like),
+        **({} if simulation.like is None else simulation.like.parameters),
         controller_q=_at_rate(drive.current_control.controller, rate_hz),
         controller_d=_at_rate(drive.current_control.controller_d, rate_hz),
         load=_load_of(config, axis),
@@ -94,16 +94,6 @@ def servo_of(
     """Make the simulated drive of a data sheet, or servobench's own."""
     vendor = files.vendor(announce, [node], bitrate_bit_s, motor)
     return SimulatedServo(node, motor, files.drive(parameters), seed, vendor=vendor)
-
-
-def power_stage_of(like: DriveModel | None) -> dict[str, Any]:
-    """Return the fields of DriveParameters for supply and protection."""
-    if like is None:
-        return {}
-    return {
-        "supply": None if like.supply is None else like.supply.parameters,
-        "protection": None if like.protection is None else like.protection.parameters,
-    }
 
 
 def _load_of(config: BenchConfig, axis: str) -> LoadTable | None:
@@ -169,7 +159,9 @@ def simulate(
     spec = shared_bus(bus_spec, "use hub:NAME, or run the bench itself with --bus simulated")
     store = files.memory(nodes)
     makers = files.makers(files.vendor(announce, nodes, bitrate_bit_s, motor), serial_of_each(nodes, serials))
-    drive = replace(files.drive(drive_parameters(current_control)), **power_stage_of(like))
+    drive = files.drive(drive_parameters(current_control))
+    if like is not None:
+        drive = replace(drive, **like.parameters)
     devices = [
         SimulatedServo(node, motor, replace(drive, load=loads.get(node)), seed, store=store, vendor=vendor)
         for node, vendor in zip(nodes, makers, strict=True)
