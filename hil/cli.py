@@ -61,13 +61,13 @@ from servobench.hil.terminal.stop import stop
 from servobench.hil.terminal.supervision import is_supervised, supervised, unsupervised
 from servobench.hil.terminal.trace import trace
 from servobench.hil.terminal.verify import verify
-from servobench.hil.terminal.view import missing_display, view
+from servobench.hil.terminal.view import missing_display, say_served, view
 from servobench.hil.terminal.why import why
 
 if TYPE_CHECKING:
     from servobench.hil.configuration.config import BenchConfig
     from servobench.hil.recording.run_recorder import RunRecorder
-    from servobench.hil.rows.recording_plan import RecordingPlan
+    from servobench.hil.rows.recording_plan import RecordingPlan, ServedPorts
 
 app = typer.Typer(
     name="hil",
@@ -138,6 +138,9 @@ class RunOptions:
         valued("--replay-faults", "FILE", "Replay faults.jsonl of a run instead of the bench's own faults."),
     ] = None
     live: Annotated[bool, flag("--view", "Show the run live in the Rerun viewer.")] = False
+    served: Annotated[
+        bool, flag("--serve", "Serve the run to browsers and viewers of this machine while it goes on.")
+    ] = False
     network: Annotated[
         Path | None,
         valued(
@@ -173,11 +176,12 @@ def run(asked: RunOptions) -> None:
     """
     run_object = RunObject(asked.as_json)
     with reported_errors(run_object.failed, "hil run"):
-        if asked.no_record and (asked.record is not None or asked.live):
-            raise BadInput("--no-record", "", True, "no --record or --view with it")
+        shown = "--view" if asked.live else "--serve" if asked.served else ""
+        if asked.no_record and (asked.record is not None or shown):
+            raise BadInput("--no-record", "", True, "no --record, --view or --serve with it")
         if not asked.no_record and not is_installed("rerun"):
-            lack = MissingExtra("rerun", "--view" if asked.live else "run.rrd")
-            if asked.live:
+            lack = MissingExtra("rerun", shown or "run.rrd")
+            if shown:
                 raise lack
             say(f"hil: note: {lack}; all else is recorded")
         if asked.live and missing_display():
@@ -207,6 +211,7 @@ def run(asked: RunOptions) -> None:
                 record=asked.record,
                 keep=not asked.no_record,
                 view=asked.live,
+                served=_ports() if asked.served else None,
                 progress=progress,
                 network=asked.network,
                 allow_uncertified=asked.allow_uncertified,
@@ -229,9 +234,17 @@ def _recorder(plan: "RecordingPlan") -> "RunRecorder":
     from servobench.hil.recording.recorder import Recorder, recorder_of
 
     recorder = recorder_of(plan)
+    if plan.served is not None:
+        say_served(plan.served)
     if plan.folder is not None and isinstance(recorder, Recorder):
         tell_parent(recording=str(plan.folder.absolute()), logger=recorder.logger_process_id)
     return recorder
+
+
+def _ports() -> "ServedPorts":
+    from servobench.hil.recording.serving import choose_ports
+
+    return choose_ports()
 
 
 def _bench_to_run(asked: RunOptions) -> "BenchConfig":

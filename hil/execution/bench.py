@@ -46,7 +46,7 @@ from servobench.hil.recording.fault_report import write_fault_report
 from servobench.hil.recording.recorder import new_folder, recorder_of
 from servobench.hil.recording.run_recorder import RunRecorder
 from servobench.hil.recording.watch import RecordingWatch
-from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.recording_plan import RecordingPlan, ServedPorts
 from servobench.hil.verdict.summary import Summary
 from servobench.hil.write_lists import RUN
 from servobench.virtual_bus.faults.fault_log import FaultLog
@@ -65,6 +65,7 @@ def run_bench(
     seed: int | None = None,
     record: Path | None = None,
     view: bool = False,
+    served: ServedPorts | None = None,
     progress: Progress = no_progress,
     keep: bool = True,
     controllers: Mapping[str, Controller] | None = None,
@@ -77,14 +78,13 @@ def run_bench(
 ) -> Summary:
     """Run a bench and review it; from any thread.
 
-    ``bus_spec``, ``time``, ``seed``: override those in the file. ``record``: folder of the recording, default
-    one under ``runs``; no file is kept unless ``keep``. ``controllers``: by axis, replacements for the
-    file's. ``network``: file of an earlier measurement, with the stamps' resolution. That network, the run's
-    own and the drives must match the controllers' certificates, unless ``allow_uncertified``. ``privileged``:
-    ask the kernel for real-time priority and locked memory. ``stop``: ends the run on request, like a stop
-    signal. ``recording``: starts a recorder. Raises BadInput before anything moves, PeerFault if bus or drive
-    failed, RecordingFailed if the recording did; the drives are brought to rest first, and ``concluded`` is
-    given the summary, also of such a run.
+    ``bus_spec``, ``time``, ``seed``: override those in the file. ``record``: its folder, default one under
+    ``runs``; no file is kept unless ``keep``. ``controllers``: by axis, in place of the file's. ``network``:
+    file of an earlier measurement, with the stamps' resolution. That network, the run's own and the drives
+    must match the controllers' certificates, unless ``allow_uncertified``. ``privileged``: with real-time
+    priority and locked memory. ``stop``: asks for the end, as a stop signal does. ``recording``: starts a
+    recorder. Raises BadInput before anything moves, PeerFault if bus or drive failed, RecordingFailed if the
+    recording did; after the drives are at rest, and ``concluded`` is given the summary in any case.
     """
     controllers = controllers or {}
     check_axes(config, controllers)
@@ -93,7 +93,7 @@ def run_bench(
     config = config.as_run(str(spec), seed, network)
     certificates = Certificates(config, controllers)
     certificates.check(network, allow_uncertified)
-    paced = check_time(spec, time)
+    paced = check_time(spec, time, served is not None)
     segments.check_sync_source(config, spec)
     code = axis_code(config, controllers, real_time=paced or not config.simulated)
     log = FaultLog() if config.faults is not None else None
@@ -106,6 +106,7 @@ def run_bench(
             started_at=world.clock.now(),
             wall_offset=world.wall_offset,
             view=view,
+            served=served,
         )
         recorder = recording(plan)
         if folder is not None:

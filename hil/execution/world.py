@@ -177,11 +177,14 @@ class WorldPlan:
         )
 
 
-def check_time(spec: BusSpec, time: str | None) -> bool:
+def check_time(spec: BusSpec, time: str | None, served: bool = False) -> bool:
     """Return True if the run is to be paced; ``time``: the option ``--time``, None if not given.
 
-    Raises BadInput for simulated time on a bus that others share.
+    Raises BadInput for simulated time on a bus that others share, or of a run that is ``served``.
     """
+    if spec.simulated and served and time != "real":
+        remedy = "--time real beside it, or afterwards hil view RUN --serve"
+        raise BadInput("--serve", "", "simulated time", "a run in real time", remedy)
     if spec.simulated:
         return time == "real"
     if time == "simulated":

@@ -35,7 +35,11 @@ def write_report(judged: Judged, path: Path) -> None:
 
 def _tables(judged: Judged) -> Iterator[Table]:
     summary = judged.summary
-    yield "Requirements", ("requirement", "value", "at most", "", "worst"), list(limit_rows(summary.verdict))
+    yield (
+        "Requirements",
+        ("requirement", "value", "at most", "", "worst"),
+        list(limit_rows(summary.verdict.limits)),
+    )
     if summary.verdict.findings:
         findings = [(finding.outcome.value, finding.text) for finding in summary.verdict.findings]
         yield "Findings", ("", ""), findings

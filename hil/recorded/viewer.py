@@ -4,7 +4,6 @@ What is drawn is what a user sees on opening the file; the layout is the one tha
 in front or another stretch of time, if that was asked for.
 """
 
-import socket
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,14 +18,13 @@ from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicC
 from servobench.hil.recorded.commissioning_page import commissioning_page, is_commissioning
 from servobench.hil.recording.blueprint import GUTTER, ZOOM_PAGE
 from servobench.hil.recording.page_series import TIMELINE
+from servobench.hil.recording.serving import choose_ports, comes_to_listen, free_port, serve_file
+from servobench.hil.rows.recording_plan import LOOPBACK, ServedPorts
 from servobench.hil.rows.run_files import CAMPAIGN_PAGE, RERUN_FILE
 from servobench.hil.rows.seal import seal_of
 from servobench.virtual_bus.child_python import python_command, python_environment
 
 SIZE: Final = "1920x1080"
-_LOOPBACK: Final = "127.0.0.1"
-_START_MAX_NS: Final = 30 * NS_PER_S
-"""It starts in a second or two; on a busy machine without a GPU in ten."""
 _LOAD_MAX_NS: Final = 300 * NS_PER_S
 """An hour with three axes takes half a minute on two slow processors."""
 _GREETING_NS: Final = 5 * NS_PER_S
@@ -191,13 +189,33 @@ def open_at(recording: Path, at_s: float, span_s: float | None) -> None:
 
     ``span_s``: so much time about it, None: as the page opens. Raises PeerFault if it does not run here.
     """
-    process, port = _start_viewer("--bind", _LOOPBACK)
+    process, port = _start_viewer("--bind", LOOPBACK)
     viewer = HeadlessViewer(_connect(process, port))
     viewer.show(recording)
     if span_s is not None:
         _turn_to_single_rows(viewer)
         viewer.look_at(at_s - span_s / 2, at_s + span_s / 2)
     viewer.put_cursor(at_s)
+
+
+def serve(recording: Path, tell: Callable[[ServedPorts], None], stopped: Callable[[], bool]) -> None:
+    """Serve a recording to browsers and viewers of this machine until ``stopped``; ``tell`` is told where.
+
+    Raises PeerFault if the server does not come up, or ends by itself.
+    """
+    clock, ports = MonotonicClock(), choose_ports()
+    process = serve_file(ports, recording)
+    try:
+        for port in ports:
+            _await(process, port)
+        tell(ports)
+        while not stopped():
+            if process.poll() is not None:
+                raise _gone(process)
+            clock.sleep_until(Instant(clock.now() + _POLL_NS))
+    finally:
+        process.kill()
+        process.wait()
 
 
 def _turn_to_single_rows(viewer: HeadlessViewer) -> None:
@@ -208,7 +226,7 @@ def _turn_to_single_rows(viewer: HeadlessViewer) -> None:
 
 def _start_viewer(*options: str) -> "tuple[subprocess.Popen[bytes], int]":
     """A viewer in a session of its own, and the port at which it is spoken to."""
-    port = _free_port()
+    port = free_port()
     process = subprocess.Popen(
         python_command("rerun_cli", *options, "--port", str(port), "--hide-welcome-screen"),
         env=python_environment(),
@@ -223,7 +241,7 @@ def _start_viewer(*options: str) -> "tuple[subprocess.Popen[bytes], int]":
 @contextmanager
 def headless_viewer() -> Iterator[HeadlessViewer]:
     """A viewer that ends with the block. Raises PeerFault if it cannot run here."""
-    process, port = _start_viewer("--headless", "--bind", _LOOPBACK, "--window-size", SIZE)
+    process, port = _start_viewer("--headless", "--bind", LOOPBACK, "--window-size", SIZE)
     try:
         yield HeadlessViewer(_connect(process, port))
     except ConnectionError:  # it listens before it looks for a graphics driver
@@ -266,14 +284,14 @@ def _pages(blueprint: dict[str, Any]) -> dict[str, list[tuple[str, str]]]:
 
 
 def _connect(process: "subprocess.Popen[bytes]", port: int) -> ViewerClient:
-    clock = MonotonicClock()
-    deadline = clock.now() + _START_MAX_NS
-    while clock.now() < deadline and process.poll() is None:
-        with socket.socket() as probe:
-            if probe.connect_ex(("127.0.0.1", port)) == 0:
-                return ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
-        clock.sleep_until(Instant(clock.now() + _POLL_NS))
-    raise _gone(process)
+    _await(process, port)
+    return ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
+
+
+def _await(process: "subprocess.Popen[bytes]", port: int) -> None:
+    """Return when the process listens. Raises PeerFault if it does not come to that."""
+    if not comes_to_listen(process, port):
+        raise _gone(process)
 
 
 def _gone(process: "subprocess.Popen[bytes]") -> PeerFault:
@@ -282,10 +300,3 @@ def _gone(process: "subprocess.Popen[bytes]") -> PeerFault:
     said = (process.communicate()[1] or b"").decode(errors="replace").strip().splitlines()
     complaint = next((line for line in said if "adapter" in line or "panicked" in line), "".join(said[-1:]))
     return PeerFault("the Rerun viewer does not run here", printable(complaint)[:_EVIDENCE_MAX], _REMEDY)
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port

@@ -31,10 +31,13 @@ if TYPE_CHECKING:
 
 STATES: Final = "/state"
 """The entity of all lanes. Each is a component of it, called like its track: what the viewer writes above."""
-_VERDICT, _ERROR, _DROPOUTS, _INJECTED, _LINK, _HOST, _DRIVE, _PHASE, _OTHER = range(9)
+_VERDICT, _LIMITS, _ERROR, _DROPOUTS, _INJECTED, _LINK, _HOST, _DRIVE, _PHASE, _OTHER = range(10)
 """The order of the lanes."""
 VERDICT_TRACK: Final = "verdict"
 """Track of the whole run's verdict; an axis' track shows its speed error alone."""
+LIMITS_TRACK: Final = "limits"
+"""Track of a run that goes on: whether all its limits are kept so far."""
+BROKEN: Final = "BROKEN"
 SETTLING, KEPT, BEYOND, NOT_JUDGED = "Settling", "Kept", "BEYOND", "Not judged"
 _WINDOWS_MAX: Final = 100
 """Settling windows shown at most; the viewer writes the mere number of states into a lane with more."""
@@ -87,7 +90,7 @@ _CAUSE_COLORS: Final = {
 def live_tracks(axes: Sequence[str]) -> list[str]:
     """Lanes of a run that still goes on."""
     own = [f"{axis} {kind}" for kind in ("drive", "link") for axis in axes]
-    return in_order(["phase", "host", *own], axes)
+    return in_order([LIMITS_TRACK, "phase", "host", *own], axes)
 
 
 def in_order(tracks: Iterable[str], axes: Sequence[str]) -> list[str]:
@@ -129,7 +132,8 @@ def _place(track: str, axes: Sequence[str]) -> int:
         return kinds[kind]
     if track.startswith(INJECTED_TRACK):
         return _INJECTED
-    return {VERDICT_TRACK: _VERDICT, "phase": _PHASE, "host": _HOST}.get(track, _OTHER)
+    named = {VERDICT_TRACK: _VERDICT, LIMITS_TRACK: _LIMITS, "phase": _PHASE, "host": _HOST}
+    return named.get(track, _OTHER)
 
 
 def lane_colors(track: str, axes: Sequence[str]) -> Mapping[str, int]:
@@ -139,6 +143,7 @@ def lane_colors(track: str, axes: Sequence[str]) -> Mapping[str, int]:
         return {QUIET: _DARK, "Injected": _AMBER}
     return {
         _VERDICT: {QUIET: _DARK, **_VERDICT_COLORS},
+        _LIMITS: {KEPT: _GOOD, BROKEN: _RED},
         _ERROR: {QUIET: _DARK, SETTLING: _DIM, NOT_JUDGED: _DIM, KEPT: _GOOD, BEYOND: _RED},
         _DRIVE: {
             **{state.value.capitalize(): color for state, color in _DRIVE_COLORS.items()},

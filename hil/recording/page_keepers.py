@@ -1,6 +1,5 @@
 """What shows a run in Rerun: its page in a file, and the live view."""
 
-import socket
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,9 +10,10 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from servobench.hil.recording.log_files import BLOCK_ROWS, LIVE_VIEW, Keeper, RowBlocks
+from servobench.hil.recording.serving import comes_to_listen, free_port, serve_stream
 from servobench.hil.recording.telemetry import Telemetry
 from servobench.hil.reviewing.review import Review
-from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.recording_plan import LOOPBACK, RecordingPlan, ServedPorts
 from servobench.hil.rows.records import Rows
 from servobench.hil.rows.run_files import RERUN_FILE
 from servobench.hil.rows.side_rows import RunEvent
@@ -21,7 +21,6 @@ from servobench.hil.verdict.summary import Summary
 from servobench.virtual_bus.child_python import python_command, python_environment
 
 _LIVE_MEMORY = "256MiB"
-_LOOPBACK = "127.0.0.1"
 
 
 class PageKeeper(Keeper):
@@ -69,18 +68,38 @@ class RerunKeeper(PageKeeper):
 
 
 class LiveKeeper(PageKeeper):
-    """A Rerun viewer that shows a real-time run while it goes on; served on the loopback only."""
+    """Viewers of a real-time run while it goes on: one of its own, or any that come; on the loopback only."""
 
     name = LIVE_VIEW
 
     def __init__(self, plan: RecordingPlan, recording_id: str, review: Review) -> None:
-        sink = rr.GrpcServerSink(bind_ip=_LOOPBACK, port=_free_port(), server_memory_limit=_LIVE_MEMORY)
+        """Error: OSError if a port is taken."""
+        port = free_port() if plan.served is None else plan.served.stream
+        sink = rr.GrpcServerSink(bind_ip=LOOPBACK, port=port, server_memory_limit=_LIVE_MEMORY)
         super().__init__(Telemetry(plan, recording_id, sink, live=True), review, block_rows=1)
-        start_viewer("--connect", sink.uri)
+        super().flush()  # a port that is taken shows only here
+        self._page = None if plan.served is None else _page_on(plan.served)
+        if plan.view:
+            start_viewer("--connect", sink.uri)
 
     def flush(self) -> None:
         self._telemetry.show_running(self._review)
         super().flush()
+
+    def finish(self, summary: Summary) -> None:
+        super().finish(summary)
+        if self._page is not None:
+            self._page.kill()
+            self._page.wait()
+
+
+def _page_on(ports: ServedPorts) -> "subprocess.Popen[bytes]":
+    """The page for browsers. Error: OSError if it does not come up."""
+    page = serve_stream(ports)
+    if not comes_to_listen(page, ports.page):
+        page.kill()
+        raise OSError(f"no page for browsers comes up at port {ports.page}")
+    return page
 
 
 def open_pages(plan: RecordingPlan, folder: Path, review: Review) -> list[Keeper]:
@@ -88,7 +107,7 @@ def open_pages(plan: RecordingPlan, folder: Path, review: Review) -> list[Keeper
     rr.set_strict_mode(True)
     recording_id = uuid4().hex
     pages: list[Keeper] = [RerunKeeper(plan, folder, recording_id, review)]
-    if plan.view and plan.real_time:
+    if plan.real_time and (plan.view or plan.served is not None):
         pages.append(LiveKeeper(plan, recording_id, review))
     return pages
 
@@ -96,18 +115,10 @@ def open_pages(plan: RecordingPlan, folder: Path, review: Review) -> list[Keeper
 def start_viewer(*arguments: str) -> None:
     """Start the viewer as a process that outlives this one."""
     subprocess.Popen(
-        python_command("rerun_cli", "--port", "auto", "--bind", _LOOPBACK, *arguments),
+        python_command("rerun_cli", "--port", "auto", "--bind", LOOPBACK, *arguments),
         env=python_environment(),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,
     )
-
-
-def _free_port() -> int:
-    """A port of the loopback that nobody listens on; the sink tells no port of its own choice."""
-    with socket.socket() as probe:
-        probe.bind((_LOOPBACK, 0))
-        port: int = probe.getsockname()[1]
-        return port

@@ -19,6 +19,9 @@ from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Instant
 from servobench.hil.loop.samples import CommandFate
 from servobench.hil.recording.blueprint import EVENTS, HISTOGRAM, MARKS_MAX, SUMMARY, VERDICT, Whole, layout
 from servobench.hil.recording.lanes import (
+    BROKEN,
+    KEPT,
+    LIMITS_TRACK,
     STATES,
     VERDICT_TRACK,
     FaultWindows,
@@ -39,7 +42,7 @@ from servobench.hil.recording.page_series import (
 )
 from servobench.hil.recording.row_series import READ_SERIES, first_offset_ns, lines_of, marks_of
 from servobench.hil.recording.run_metadata import run_metadata
-from servobench.hil.recording.verdict_text import running_markdown, verdict_markdown
+from servobench.hil.recording.verdict_text import broken_texts, running_markdown, verdict_markdown
 from servobench.hil.recording.whole_figures import WholeFigures, in_view
 from servobench.hil.recording.wide_rows import cycle_columns, cycles_entity
 from servobench.hil.reviewing.envelope import BUCKETS, CodeLane, Envelope
@@ -52,7 +55,7 @@ from servobench.hil.rows.records import COMMAND_FATES, FATE_MISSED, FATE_SAMPLE,
 from servobench.hil.rows.row_states import DriveStates, HostStates, LabelChange, LinkStates
 from servobench.hil.rows.run_files import RERUN_FILE
 from servobench.hil.rows.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent, drives_of
-from servobench.hil.verdict.summary import Summary
+from servobench.hil.verdict.summary import Summary, checks_so_far
 from servobench.hil.verdict.verdict import LimitResult
 
 _LOST = COMMAND_FATES.index(CommandFate.LOST)
@@ -117,6 +120,8 @@ class Telemetry:
         """It is given the frames; what they tell is shown with the next rows."""
         self._rows = 0
         self._marks = dict.fromkeys(self._axes, 0)
+        self._broken: set[str] = set()
+        """Limits that were broken so far."""
         self._show_verdict(None)
 
     def take_events(self, events: Sequence[RunEvent]) -> None:
@@ -177,10 +182,19 @@ class Telemetry:
         self._stream.log(f"{HISTOGRAM}/{name}/deadline", line, static=True)
 
     def show_running(self, review: Review) -> None:
-        """Show the run's result so far."""
+        """Show the run's result so far, and which limits are broken by now."""
         self.show_histograms(review.delays)
-        text = running_markdown(self._plan, review.figures(), self._told)
+        figures = review.figures()
+        checks = checks_so_far(figures, self._plan.review.limits)
+        text = running_markdown(self._plan, figures, checks, self._told)
         self._stream.log(VERDICT, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+        if not checks or not self._rows:
+            return
+        now, broken = Instant(self._last_cycle), broken_texts(checks)
+        self._show_changes(LIMITS_TRACK, [LabelChange(now, BROKEN if broken else KEPT)])
+        for metric in broken.keys() - self._broken:
+            self._broken.add(metric)
+            self._show_event(TextEvent(now, "ERROR", broken[metric]))
 
     def flush(self) -> None:
         """Error: OSError if what was sent cannot be written; a full disk shows only here."""

@@ -1,7 +1,7 @@
 """The verdict of a run as a page of Markdown."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from textwrap import wrap
 from typing import Final
@@ -18,7 +18,7 @@ from servobench.hil.verdict.summary_text import (
     limit_rows,
     summary_lines,
 )
-from servobench.hil.verdict.verdict import LimitResult, verdict_title
+from servobench.hil.verdict.verdict import Check, LimitResult, verdict_title
 
 _CELL_COLUMNS: Final = 52
 """So much a table at the right of a screen of 1920 shows beside the titles."""
@@ -41,8 +41,7 @@ def verdict_markdown(
     if remarks:
         parts.append("\n".join(remarks))
     if verdict.limits:
-        head = ["| limit | value | at most | | worst |", "|:--|--:|--:|:--|:--|"]
-        parts.append("\n".join([*head, *map(_limit, limit_rows(verdict))]))
+        parts.append(_limits("value", verdict.limits))
     if certified := certificate_rows(summary.certificates):
         head = ["| certificate | certified | seen |", "|:--|--:|--:|"]
         parts.append("\n".join([*head, *(f"| {' | '.join(row)} |" for row in certified)]))
@@ -52,11 +51,30 @@ def verdict_markdown(
     return "\n\n".join(parts) + "\n"
 
 
-def running_markdown(plan: RecordingPlan, figures: Figures, metadata: Mapping[str, str]) -> str:
-    """While the run goes on: the figures so far."""
+def running_markdown(
+    plan: RecordingPlan, figures: Figures, checks: Sequence[Check], metadata: Mapping[str, str]
+) -> str:
+    """While the run goes on: the figures so far, held against the limits."""
     lines = {"Cycles": str(figures.cycles), **figure_lines(figures, len(plan.review.axes))}
     table = "\n".join(["| figure so far | value |", "|:--|:--|", *_rows(lines)])
-    return "\n\n".join([f"# {plan.name} · running", _origin(plan, metadata), table]) + "\n"
+    broken = any(check.result is LimitResult.BROKEN for check in checks)
+    parts = [f"# {plan.name} · running{', A LIMIT IS BROKEN' if broken else ''}", _origin(plan, metadata)]
+    parts += [_limits("so far", checks)] if checks else []
+    return "\n\n".join([*parts, table]) + "\n"
+
+
+def broken_texts(checks: Iterable[Check]) -> dict[str, str]:
+    """Return a line for each limit that is broken, by its name."""
+    broken = [check for check in checks if check.result is LimitResult.BROKEN]
+    return {
+        check.metric: f"limit broken: {title}: {value}, at most {limit} {where}".rstrip()
+        for check, (title, value, limit, _, where) in zip(broken, limit_rows(broken), strict=True)
+    }
+
+
+def _limits(value: str, checks: Sequence[Check]) -> str:
+    head = [f"| limit | {value} | at most | | worst |", "|:--|--:|--:|:--|:--|"]
+    return "\n".join([*head, *map(_limit, limit_rows(checks))])
 
 
 def _limit(row: tuple[str, str, str, str, str]) -> str:

@@ -4,7 +4,8 @@ process."""
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
+from urllib.parse import quote
 
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from servobench.hil.rows.records import DIGESTED
@@ -131,6 +132,29 @@ class PlannedSetPoint(NamedTuple):
     """Its description."""
 
 
+LOOPBACK: Final = "127.0.0.1"
+"""Nothing of a run is served to other machines."""
+
+
+class ServedPorts(NamedTuple):
+    """Ports of the loopback at which a recording, or a run that goes on, is served."""
+
+    stream: int
+    """For viewers, by gRPC."""
+    page: int
+    """For browsers, by HTTP: the viewer itself, which then reads the stream."""
+
+    @property
+    def stream_uri(self) -> str:
+        """URI for ``rerun --connect``."""
+        return f"rerun+http://{LOOPBACK}:{self.stream}/proxy"
+
+    @property
+    def page_url(self) -> str:
+        """URL for a browser."""
+        return f"http://{LOOPBACK}:{self.page}?url={quote(self.stream_uri, safe='')}"
+
+
 @dataclass(frozen=True, slots=True)
 class RecordingPlan:
     """One run's recording."""
@@ -163,6 +187,8 @@ class RecordingPlan:
     """True if faults.jsonl is kept: the injected faults."""
     view: bool = False
     """True if a Rerun viewer shows the run live."""
+    served: ServedPorts | None = None
+    """Where the run is served while it goes on; None: nowhere."""
     period_us: int = 0
     """Period of the loop, for network.toml; 0: none is written."""
     channels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)

@@ -11,8 +11,10 @@ from servobench.drivers.cia402.profile import STATE_BITS, state_of
 from servobench.drivers.cia402.readings import NEVER_TOLD
 from servobench.hil.rows.records import FATE_MISSED, FATE_SAMPLE, Rows
 
-LINK_WINDOW_CYCLES = 20
-LINK_DEGRADED_DROPOUTS = LINK_WINDOW_CYCLES // 4
+LINK_OK_CYCLES = 1000
+"""So many cycles without a dropout make a link that is OK: one in which 2 % are lost never is."""
+LINK_DOWN_CYCLES = 20
+"""So many dropouts in a row make one that is down."""
 LINK_OK, LINK_DEGRADED, LINK_DOWN = "OK", "DEGRADED", "DOWN"
 HOST_IN_TIME, HOST_MISSED = "In time", "MISSED"
 
@@ -52,23 +54,26 @@ class DriveStates(_Codes):
 
 
 class LinkStates(_Codes):
-    """Quality of one axis' link: DOWN when a whole window was dropped, DEGRADED when a quarter of it was.
+    """Quality of one axis' link: DOWN after :data:`LINK_DOWN_CYCLES` dropouts in a row, DEGRADED after any
+    within the last :data:`LINK_OK_CYCLES`.
 
     A cycle without SYNC says nothing about the link.
     """
 
     def __init__(self) -> None:
         super().__init__()
-        self._window: NDArray[np.int64] = np.zeros(LINK_WINDOW_CYCLES, np.int64)
+        self._window: NDArray[np.int64] = np.zeros(LINK_OK_CYCLES, np.int64)
 
     def changes(self, rows: Rows) -> list[LabelChange]:
         """Return the changes in rows of one axis, in order."""
         rows = rows[rows["fate"] != FATE_MISSED]
         dropped = np.concatenate((self._window, rows["fate"] != FATE_SAMPLE)).astype(np.int64)
-        self._window = dropped[-LINK_WINDOW_CYCLES:]
+        self._window = dropped[-LINK_OK_CYCLES:]
         total = np.cumsum(dropped)
-        in_window = total[LINK_WINDOW_CYCLES:] - total[:-LINK_WINDOW_CYCLES]
-        levels = (in_window >= LINK_DEGRADED_DROPOUTS).astype(np.int64) + (in_window >= LINK_WINDOW_CYCLES)
+        known = total[LINK_OK_CYCLES:]
+        lately = known - total[:-LINK_OK_CYCLES]
+        in_a_row = known - total[LINK_OK_CYCLES - LINK_DOWN_CYCLES : -LINK_DOWN_CYCLES]
+        levels = (lately > 0).astype(np.int64) + (in_a_row == LINK_DOWN_CYCLES)
         return self._changes(levels, rows["due_at"], (LINK_OK, LINK_DEGRADED, LINK_DOWN).__getitem__)
 
 

@@ -66,7 +66,7 @@ def _verdict_table(summary: Summary) -> Table | Text:
     if not summary.verdict.limits:
         return Text("The bench file sets no limits in [verdict].", style="yellow")
     table = columns("Verdict", "value", "limit", "", right=("value", "limit"))
-    for title, value, limit, result, _ in limit_rows(summary.verdict):
+    for title, value, limit, result, _ in limit_rows(summary.verdict.limits):
         table.add_row(Text(title), value, limit, Text(*_MARKS[LimitResult(result)]))
     return table
 

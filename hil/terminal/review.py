@@ -159,7 +159,7 @@ def _print(judged: "Judged") -> None:
     title = f"{judged.run.title()}, by {judged.against}; {judged.run.seal}"
     console.print(title, soft_wrap=True, markup=False)
     table = columns("requirement", "value", "at most", "", "worst", right=("value", "at most"))
-    for row in limit_rows(judged.summary.verdict):
+    for row in limit_rows(judged.summary.verdict.limits):
         table.add_row(*map(Text, row))
     console.print(table)
     for finding in judged.summary.verdict.findings:

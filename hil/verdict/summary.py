@@ -21,6 +21,7 @@ from servobench.hil.verdict.figures import (
 )
 from servobench.hil.verdict.limits import LIMITED, VerdictLimits
 from servobench.hil.verdict.verdict import (
+    Check,
     CycleCount,
     Demand,
     DriveEnd,
@@ -28,6 +29,7 @@ from servobench.hil.verdict.verdict import (
     RunOutcome,
     RunVerdict,
     VerdictKind,
+    checks_of,
     judge,
     not_run,
 )
@@ -110,6 +112,14 @@ def summarise(
         load_machine=outcome.load_machine,
         timing=outcome.timing,
     )
+
+
+def checks_so_far(figures: Figures, limits: VerdictLimits) -> tuple[Check, ...]:
+    """Hold the figures of a run that goes on against its limits; what its end alone tells is not
+    measured."""
+    unknown = RunOutcome()
+    values = {key: each.value(figures, unknown) for key, each in LIMITED.items()}
+    return checks_of(values, limits, figures.worst)
 
 
 def summary_without_run(outcome: VerdictKind, reason: str) -> Summary:

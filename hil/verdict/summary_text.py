@@ -1,14 +1,14 @@
 """A run in words, for the terminal, the page beside its plots and its report: figures, limits, timing and
 certificates."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final
 
 from servobench.drivers.timebase import NS_PER_S
 from servobench.hil.verdict.figures import Figures, Percentiles
 from servobench.hil.verdict.limits import metric_title
 from servobench.hil.verdict.summary import Summary
-from servobench.hil.verdict.verdict import RunVerdict
+from servobench.hil.verdict.verdict import Check
 
 _SYNC_TEXTS = {
     "none": "no echo: the instant is that of its hand-over",
@@ -71,9 +71,9 @@ def summary_lines(run: Summary, axes: int) -> dict[str, str]:
     }
 
 
-def limit_rows(verdict: RunVerdict) -> Iterator[tuple[str, str, str, str, str]]:
+def limit_rows(checks: Iterable[Check]) -> Iterator[tuple[str, str, str, str, str]]:
     """Yield each requirement in words: title, value, limit, result, and the place of the worst value."""
-    for check in verdict.limits:
+    for check in checks:
         at = "" if check.at_ns is None else f"at {check.at_ns / NS_PER_S:.3f} s"
         where = " ".join(filter(None, (check.axis, at)))
         yield metric_title(check.metric), number(check.value), f"{check.limit:g}", check.result.value, where

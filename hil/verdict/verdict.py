@@ -232,15 +232,9 @@ def judge(
     ``recording_lacks``: why the recording is incomplete; empty if it is not. ``places``: origin of the
     values, by the same names, as far as known. ``demands``: further limits.
     """
-    nowhere = WorstPlace()
     undone = _undone(outcome, count)
     completed = not undone
-    checks = tuple(
-        Check(key, value, limit, _held_against(value, limit, completed), place.axis, place.at_ns)
-        for key, limit in asdict(limits).items()
-        if limit is not None
-        for value, place in [(values.get(key), (places or {}).get(key, nowhere))]
-    ) + tuple(
+    checks = checks_of(values, limits, places, completed) + tuple(
         Check(metric, value, limit, _held_against(value, limit, completed), axis)
         for metric, axis, value, limit in demands
     )
@@ -249,6 +243,22 @@ def judge(
         text = f"{count.missed} cycles went without SYNC, and no limit says how many may"
         findings.append(Finding(VerdictKind.NOT_MEASURED, text))
     return _conclude(completed, checks, findings)
+
+
+def checks_of(
+    values: Mapping[str, float | None],
+    limits: VerdictLimits,
+    places: Mapping[str, WorstPlace] | None = None,
+    completed: bool = True,
+) -> tuple[Check, ...]:
+    """Hold values against the limits that are set; ``values``, ``places``: as of :func:`judge`."""
+    nowhere = WorstPlace()
+    return tuple(
+        Check(key, value, limit, _held_against(value, limit, completed), place.axis, place.at_ns)
+        for key, limit in asdict(limits).items()
+        if limit is not None
+        for value, place in [(values.get(key), (places or {}).get(key, nowhere))]
+    )
 
 
 def not_run(outcome: VerdictKind, reason: str) -> RunVerdict:

@@ -267,7 +267,7 @@ def test_lanes_stand_in_order_on_the_pages_of_their_axes() -> None:
         "left": ["verdict", "left error", "host", "left drive"],
         "right": ["verdict", "host", "right drive"],
     }
-    assert lanes(pages(SOLO, LIVE)["Overview"]) == ["axis1 link", "host", "axis1 drive", "phase"]
+    assert lanes(pages(SOLO, LIVE)["Overview"]) == ["limits", "axis1 link", "host", "axis1 drive", "phase"]
 
 
 def lanes(page: Any) -> list[str]:
@@ -281,8 +281,8 @@ def lanes(page: Any) -> list[str]:
 @pytest.mark.parametrize(
     ("plan", "whole", "states_px"),
     [
-        (SOLO, LIVE, 72 + 40 * 4),
-        (plan(SPEED, POSITION), LIVE, 72 + 40 * 6),
+        (SOLO, LIVE, 72 + 40 * 5),
+        (plan(SPEED, POSITION), LIVE, 72 + 40 * 7),
         (SOLO, WHOLE, 72 + 40 * 3),
         (SOLO, replace(WHOLE, tracks=dict.fromkeys("abc", "")), 72 + 40 * 3),
         (SOLO, replace(WHOLE, tracks=dict.fromkeys("abcd", "")), 72 + 40 * 4),

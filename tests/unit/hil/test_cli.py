@@ -121,7 +121,7 @@ def test_options_reach_the_bench(bench: Bench) -> None:
         key: value for key, value in bench.asked.items() if key not in ("progress", "recording", "concluded")
     }
     expected = {"bus_spec": "hub:a", "time": "real", "seed": 7, "record": Path("r"), "view": True}
-    expected |= {"network": Path("n.toml"), "allow_uncertified": True, "keep": True}
+    expected |= {"network": Path("n.toml"), "allow_uncertified": True, "keep": True, "served": None}
     assert asked == expected
 
 
@@ -130,11 +130,11 @@ def test_without_options_the_file_decides(bench: Bench) -> None:
     asked = {
         key: value for key, value in bench.asked.items() if key not in ("progress", "recording", "concluded")
     }
-    expected = {"bus_spec": None, "time": None, "seed": None, "record": None, "view": False}
+    expected = {"bus_spec": None, "time": None, "seed": None, "record": None, "view": False, "served": None}
     assert asked == expected | {"network": None, "allow_uncertified": False, "keep": True}
 
 
-@pytest.mark.parametrize("options", [["--record", "r"], ["--view"]])
+@pytest.mark.parametrize("options", [["--record", "r"], ["--view"], ["--serve"]])
 def test_no_recording_beside_one_that_is_asked_for_is_bad_input(bench: Bench, options: list[str]) -> None:
     assert hil("run", BENCH, "--no-record", *options).exit_code == ExitStatus.BAD_INPUT
     assert not bench.asked

@@ -115,14 +115,14 @@ def test_a_clock_s_offset_counts_from_the_first_that_is_known(rows: Rows) -> Non
 @pytest.mark.parametrize(
     ("dropped", "labels"),
     [
-        (4, ["OK"]),
-        (5, ["OK", "DEGRADED", "OK"]),
+        (0, ["OK"]),
+        (1, ["OK", "DEGRADED", "OK"]),
         (19, ["OK", "DEGRADED", "OK"]),
         (20, ["OK", "DEGRADED", "DOWN", "DEGRADED", "OK"]),
     ],
 )
-def test_a_link_is_degraded_by_a_quarter_of_twenty_and_down_by_all(dropped: int, labels: list[str]) -> None:
-    found = LinkStates().changes(plain_rows(80, fate=[0] * 5 + [2] * dropped + [0] * (75 - dropped)))
+def test_any_dropout_degrades_a_link_and_twenty_end_it(dropped: int, labels: list[str]) -> None:
+    found = LinkStates().changes(plain_rows(1080, fate=[0] * 5 + [2] * dropped + [0] * (1075 - dropped)))
     assert [change.label for change in found] == labels
     assert found[0] == LabelChange(0, "OK")
 

@@ -211,12 +211,12 @@ def report(path: Path, its: Judged) -> str:
 
 
 def test_requirements_are_rows_of_words() -> None:
-    assert list(limit_rows(judged().summary.verdict)) == [
+    assert list(limit_rows(judged().summary.verdict.limits)) == [
         ("delay of readings, p99 [us]", "400", "500", "kept", "axis1"),
         ("readings lost in a row", "2", "1", "broken", "axis1 at 0.301 s"),
     ]
     cut = replace(summary(), verdict=summary(completed=False).verdict)
-    assert [row[1:] for row in limit_rows(judged(cut).summary.verdict)] == [
+    assert [row[1:] for row in limit_rows(judged(cut).summary.verdict.limits)] == [
         ("4.25", "10", "not measured", ""),
         ("3", "5", "not measured", ""),
         ("999", "2000", "not measured", ""),

@@ -50,7 +50,7 @@ def summary_of(figures: Figures = FIGURES) -> Summary:
 def test_the_live_view_is_served_on_the_loopback_and_needs_no_viewer(
     tmp_path: Path, viewers: list[list[str]]
 ) -> None:
-    plan = plan_for(tmp_path, real_time=True)
+    plan = replace(plan_for(tmp_path, real_time=True), view=True)
     keeper = LiveKeeper(plan, "a-recording", Review(plan.review))
     (command,) = viewers
     assert command[command.index("--bind") + 1] == "127.0.0.1"

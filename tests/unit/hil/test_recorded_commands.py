@@ -117,7 +117,7 @@ def test_a_review_is_printed_written_and_ends_as_its_verdict(
 ) -> None:
     asked: list[Any] = []
     findings = [SimpleNamespace(outcome="broken", text="too [slow]")]
-    verdict = SimpleNamespace(outcome="not passed", exit_status=1, findings=findings)
+    verdict = SimpleNamespace(outcome="not passed", exit_status=1, findings=findings, limits=())
     judged = SimpleNamespace(
         run=SimpleNamespace(title=lambda: "run [one]", seal="sealed"),
         against="its own limits",
@@ -131,7 +131,7 @@ def test_a_review_is_printed_written_and_ends_as_its_verdict(
     rows = [("overshoot", "12", "10", "broken", "axis1 at 1 s"), ("delay [us]", "-", "5", "not known", "")]
     monkeypatch.setattr(recorded_run, "open_run", lambda run, **_: f"opened {run}")
     monkeypatch.setattr(judgement, "judge_run", judge)
-    monkeypatch.setattr(summary_text, "limit_rows", lambda _verdict: iter(rows))
+    monkeypatch.setattr(summary_text, "limit_rows", lambda _limits: iter(rows))
     monkeypatch.setattr(report, "write_report", lambda _judged, path: path.write_text("a report"))
     told = hil("review", "one")
     assert (told.exit_code, told.stderr) == (1, "")
@@ -257,5 +257,6 @@ def test_a_recording_is_opened_where_there_is_a_display(
     assert (told.exit_code, told.stdout, len(started)) == (0, f"{page}\n", 1)
     assert told.stderr.splitlines() == [
         "hil: no display here; on a machine with one: rerun one/run.rrd",
+        "hil: in a browser, over ssh too: hil view one --serve",
         "hil: as a picture: hil picture one page.png",
     ]

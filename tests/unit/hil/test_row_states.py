@@ -6,7 +6,7 @@ import pytest
 from servobench.drivers.cia402.readings import NEVER_TOLD
 from servobench.hil.rows.records import FATE_MISSED
 from servobench.hil.rows.row_states import (
-    LINK_WINDOW_CYCLES,
+    LINK_DOWN_CYCLES,
     DriveStates,
     HostStates,
     LabelChange,
@@ -41,9 +41,15 @@ def test_an_undefined_statusword_is_named() -> None:
 
 
 def test_link_goes_down_and_comes_back() -> None:
-    fate = [0] * 30 + [1] * 25 + [0] * 40
-    labels = [(c.at // 1_000_000, c.label) for c in LinkStates().changes(plain_rows(95, fate=fate))]
-    assert labels == [(0, "OK"), (34, "DEGRADED"), (49, "DOWN"), (55, "DEGRADED"), (70, "OK")]
+    fate = [0] * 30 + [1] * 25 + [0] * 1040
+    labels = [(c.at // 1_000_000, c.label) for c in LinkStates().changes(plain_rows(1095, fate=fate))]
+    assert labels == [(0, "OK"), (30, "DEGRADED"), (49, "DOWN"), (55, "DEGRADED"), (1054, "OK")]
+
+
+def test_a_link_that_loses_two_percent_is_never_ok() -> None:
+    drawn = np.random.default_rng(41).random(20_000) < 0.02
+    labels = [change.label for change in LinkStates().changes(plain_rows(drawn.size, fate=drawn.astype(int)))]
+    assert labels == ["OK", "DEGRADED"]
 
 
 def test_cycles_without_sync_are_the_hosts_and_not_the_links() -> None:
@@ -53,7 +59,7 @@ def test_cycles_without_sync_are_the_hosts_and_not_the_links() -> None:
     assert labels == [(0, "In time"), (30, "MISSED"), (55, "In time")]
 
 
-@pytest.mark.parametrize("cuts", [[1], [7, 33, 34, 35], [LINK_WINDOW_CYCLES, 60]])
+@pytest.mark.parametrize("cuts", [[1], [7, 33, 34, 35], [LINK_DOWN_CYCLES, 60]])
 def test_division_into_chunks_does_not_matter(cuts: list[int]) -> None:
     fate = [0] * 30 + [1] * 23 + [FATE_MISSED] * 2 + [0] * 40
     rows = plain_rows(95, fate=fate, statusword=[READY] * 40 + [ENABLED] * 55)

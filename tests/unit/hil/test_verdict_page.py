@@ -10,6 +10,8 @@ import pytest
 from servobench.hil.recording.verdict_text import running_markdown, verdict_markdown
 from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
 from servobench.hil.verdict.figures import DropoutCounts, Percentiles, SpeedError, StepResponse
+from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.summary import checks_so_far
 from servobench.hil.verdict.verdict import Check, LimitResult
 from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.test_summary import FIGURES, summary_with
@@ -56,9 +58,16 @@ def test_the_figures_so_far() -> None:
         speed_error=SpeedError(8.0, None, 1.5, 4.0),
         step_response=StepResponse(120.0, 8.26, 40.0),
     )
-    page = running_markdown(PLAN, figures, {})
+    limits = VerdictLimits(
+        after_load_percent_max=5.0, speed_error_rms_rad_s_max=1.2, bus_load_percent_max=70.0
+    )
+    page = running_markdown(PLAN, figures, checks_so_far(figures, limits), {})
     assert page == (
-        f"# synthetic · running\n\n{ORIGIN}\n\n"
+        f"# synthetic · running, A LIMIT IS BROKEN\n\n{ORIGIN}\n\n"
+        "| limit | so far | at most | | worst |\n|:--|--:|--:|:--|:--|\n"
+        "| speed error after load step [%] | 4 | 5 | kept |  |\n"
+        "| speed error, RMS [rad/s] | 1.5 | 1.2 | **BROKEN** |  |\n"
+        "| bus load [%] | - | 70 | not measured |  |\n\n"
         "| figure so far | value |\n|:--|:--|\n"
         "| Cycles | 200 |\n"
         "| Tracking error | peak 8 rad/s (- %), rms 1.5 rad/s |\n"

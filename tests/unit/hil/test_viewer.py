@@ -10,6 +10,7 @@ from servobench.drivers.errors import BadInput, PeerFault
 from servobench.drivers.timebase import NS_PER_S
 from servobench.hil.recorded import viewer
 from servobench.hil.recorded.viewer import HeadlessViewer, page_file
+from servobench.hil.recording import serving
 from servobench.hil.recording.blueprint import GUTTER
 from servobench.virtual_bus.timeline import SimulatedClock, Timeline
 
@@ -79,7 +80,8 @@ class Client:
 @pytest.fixture
 def timeline(monkeypatch: pytest.MonkeyPatch) -> Timeline:
     made = Timeline()
-    monkeypatch.setattr(viewer, "MonotonicClock", lambda: SimulatedClock(made))
+    for module in (viewer, serving):
+        monkeypatch.setattr(module, "MonotonicClock", lambda: SimulatedClock(made))
     return made
 
 
