@@ -358,7 +358,8 @@ class Axis:
         by_others = isinstance(observation, Dropout) and observation.cause in _SHOWN_BY_OTHERS
         if mark is not None and mark.unsent:
             mark, observation = None, without_sync(observation)
-        if (mark is not None and not mark.sure) or (by_others and self.meter.doubts(tick.sequence)):
+        unsure = mark is not None and (mark.late_to_drives or not mark.sure)
+        if unsure or (by_others and self.meter.doubts(tick.sequence)):
             observation = replaced(observation, certain=False)
         self.uncertain += not observation.certain
         self._record(

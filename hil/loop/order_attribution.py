@@ -257,7 +257,7 @@ class OrderAttribution:
             if delay < self._transit - self._echo_error:
                 health.below_transit += 1
         if waits or not self._usual.tell(certain=certain):
-            error_ns, certain = self._echo_error + reading.received_at - self._syncs.oldest_at, False
+            error_ns, certain = self._echo_error + reading.received_at - self._syncs.marks[0].handed_at, False
         return Sample(mark.sequence, reading, on_bus_at, error_ns, certain)
 
     def _error_of(self, delay: int) -> int:

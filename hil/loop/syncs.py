@@ -65,6 +65,9 @@ class SyncMark:
         """By how much it may have ended before ``on_bus_at``, as its echo took so much longer from the
         hand-over than the quickest of the last ones: it waited in front of the bus, or was stamped late. One
         of another node: as its distances from the others differ."""
+        self.late_to_drives = False
+        """Whether drives may have heard it long after its end, and at one instant with others: their stamps do
+        not say which one it was."""
         self.unsent = False
         """Whether it never went out, as the bus had no room for it."""
 
@@ -115,6 +118,9 @@ class SyncLog:
         self._echoes_late = echoes in STAMPED_LATE
         self._ways = Extremes()
         """From the hand-over of a SYNC to its echo; of another node's, what their distances are off."""
+        self._late_to_drives = 0
+        """Up to this number SYNCs may have come late to drives: an echo from before a hand-over came behind it,
+        so the bus itself, a hub, stood still."""
         self._counted = 0
         self._last_on_bus = Instant(-(1 << 62))
         self._heard_ns = 0
@@ -179,12 +185,15 @@ class SyncLog:
         if handed_at == UNTOLD:
             self._place_by_order(at)
             return
-        for mark in self._pending:
-            if mark.handed_at == handed_at:
-                self._pending.remove(mark)
-                self._put_on_bus(mark, at)
-                return
-        self.stray(at)
+        mark = next((mark for mark in self._pending if mark.handed_at == handed_at), None)
+        if mark is None:
+            self.stray(at)
+            return
+        self._pending.remove(mark)
+        self._put_on_bus(mark, at)
+        if self.marks[-1].handed_at > at:
+            self._late_to_drives = self._counted + 1
+        mark.late_to_drives = mark.number <= self._late_to_drives
 
     def not_heard(self, until: Instant) -> None:
         """Frames of before ``until`` may not have come: a SYNC without an echo may have been on the bus."""
@@ -275,12 +284,6 @@ class SyncLog:
         return self._heard_ns - before_ns >= cycles * self._period
 
     @property
-    def oldest_at(self) -> Instant:
-        """No SYNC that is remembered ended before."""
-        first = self.marks[0]
-        return first.handed_at if first.on_bus_at is None else first.on_bus_at
-
-    @property
     def last_on_bus(self) -> Instant:
         """The end of the last SYNC on the bus."""
         return self._last_on_bus
@@ -338,13 +341,9 @@ class SyncLog:
 
     def beside(self, mark: SyncMark) -> list[SyncMark]:
         """The SYNCs before and after ``mark``, as far as it is known when they were on the bus."""
-        beside: list[SyncMark] = []
-        for other in reversed(self.marks):
-            if other.number in (mark.number - 1, mark.number + 1) and other.on_bus_at is not None:
-                beside.append(other)
-            if other.number < mark.number:
-                break
-        return beside
+        place = mark.number - self.marks[0].number
+        beside = self.marks[place + 1 : place + 2] + self.marks[max(0, place - 1) : max(0, place)]
+        return [other for other in beside if other.on_bus_at is not None]
 
     def end_before(self, mark: SyncMark) -> Instant | None:
         """The end of the last SYNC on the bus before that of ``mark``; None if it is not remembered."""

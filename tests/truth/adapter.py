@@ -26,10 +26,13 @@ class Adapter:
     """What stamps the frames, and how late."""
 
     basis: EchoBasis
-    """HARDWARE: the end of the frame in whole microseconds, whenever it is fetched. KERNEL: the end of the
+    """BUS: as a hub, the end of the frame. HARDWARE: the end of the frame in whole microseconds, whenever it is fetched. KERNEL: the end of the
     wait. RECEIPT: the instant at which the loop fetches it. NONE: as KERNEL, without echoes."""
     late_us: float
     """The longest wait."""
+    still_us: tuple[int, int] | None = None
+    """The process of a hub stands still from then until then: what was on the bus is fetched at the end of that,
+    with its stamps. A hub tells with an echo when its frame was handed over."""
 
 
 class _Waiting(NamedTuple):
@@ -86,15 +89,20 @@ class AdapterPort(FramePort):
             return
         fetched_at = at + round(self._draw.random() * self._adapter.late_us * NS_PER_US)
         stamp = fetched_at = max(fetched_at, self._last_at[own])
-        if self.echoes is EchoBasis.HARDWARE:
+        if self.echoes is EchoBasis.BUS:
+            stamp = at
+        elif self.echoes is EchoBasis.HARDWARE:
             stamp = -(-at // STAMP_TICK_NS) * STAMP_TICK_NS
             fetched_at = max(fetched_at, stamp)
+        still_us = self._adapter.still_us
+        if still_us is not None and still_us[0] * NS_PER_US <= at < still_us[1] * NS_PER_US:
+            fetched_at = Instant(still_us[1] * NS_PER_US)
         self._last_at[own] = fetched_at
         self._queues[own].append(_Waiting(fetched_at, stamp, frame, own))
 
     def _hand_over(self, waiting: _Waiting, now: Instant) -> WireFrame:
         frame = waiting.frame
-        if waiting.own:  # no adapter tells when it was handed over
+        if waiting.own and self.echoes is not EchoBasis.BUS:  # no adapter tells when it was handed over
             frame = WireFrame(frame.can_id, frame.data, frame.extended, frame.remote, frame.remote_length)
         self.came_at = now if self.echoes is EchoBasis.RECEIPT else Instant(waiting.stamp)
         self.came_own = waiting.own

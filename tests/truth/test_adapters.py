@@ -19,11 +19,17 @@ CYCLES = 400
 
 
 def judged(basis: EchoBasis, late_us: float, *, stamps: bool, cycles: int = CYCLES, **keys: Any) -> Judgement:
-    plan = replace(Plan("adapter", deadline_us=5000, stamps=stamps, drift_ppm=80), **keys)
+    return judged_behind(Adapter(basis, late_us), cycles, stamps=stamps, **keys)
+
+
+def judged_behind(adapter: Adapter, cycles: int, **keys: Any) -> Judgement:
+    plan = replace(Plan("adapter", deadline_us=5000, drift_ppm=80), **keys)
     config = bench_config(plan, cycles)
-    run = run_with_taps(config, Surroundings(adapter=Adapter(basis, late_us)))
+    run = run_with_taps(config, Surroundings(adapter=adapter))
     assert not run.ended_by
-    error = Duration(STAMP_TICK_NS if basis is EchoBasis.HARDWARE else round(late_us * NS_PER_US))
+    error = Duration(
+        STAMP_TICK_NS if adapter.basis is EchoBasis.HARDWARE else round(adapter.late_us * NS_PER_US)
+    )
     timing = Timing(config.loop.period, config.loop.deadline, config.loop.horizon_periods, plan.heard, error)
     truth = axis_truth(run.log, 1, READING_IS_A_SET, plan.heard)
     return judge_axis(told_by(run.rows, 0, timing.period), truth, timing)
@@ -64,3 +70,25 @@ def test_another_s_syncs_that_are_stamped_late_show_no_steps_of_stamps(late_us: 
     result = judged(EchoBasis.RECEIPT, late_us, stamps=True, cycles=1000, sync="kernel", drift_ppm=0.0)
     assert (result.wrong, result.bound_broken) == (0, 0)
     assert result.uncertain <= 100
+
+
+@pytest.mark.parametrize("first_late_us", [3800, 3900, 4000])
+@pytest.mark.parametrize("second_late_us", [1500, 2000, 2060])
+def test_syncs_that_a_hub_brings_to_the_drive_together_are_in_doubt(
+    first_late_us: int, second_late_us: int
+) -> None:
+    """Its process stands still for 4 ms behind the end of a SYNC; the host goes on after two periods. The drive
+    hears both SYNCs then, at instants of its own that may be one and the same, and that of the next SYNC: two
+    readings were taken for copies of a third, which was a certain row of another SYNC."""
+    behind = 'direction = "host_to_drive", frames = ["sync"], side = "drive"'
+    faults = (
+        f"{{{behind}, delay_us = {first_late_us}, from_s = 0.1998, until_s = 0.2005}}",
+        f"{{{behind}, delay_us = {second_late_us}, from_s = 0.2015, until_s = 0.2025}}",
+    )
+    adapter = Adapter(EchoBasis.BUS, 0.0, still_us=(407_700, 411_700))
+    result = judged_behind(
+        adapter, CYCLES, deadline_us=2000, drift_ppm=0.0, faults=f"delay = [{', '.join(faults)}]"
+    )
+
+    assert (result.rows, result.wrong, result.bound_broken) == (CYCLES, 0, 0)
+    assert result.uncertain <= 5
