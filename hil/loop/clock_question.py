@@ -142,6 +142,11 @@ class ClockQuestion:
             return error_ns
         return min(error_ns, max(after, self.delays.late(delay, self._transit) - after))
 
+    def hidden_ns(self, delay: int) -> int:
+        """What the SYNC of a reading of ``delay`` may have been late at the drive, its stamp not telling."""
+        hidden = self._stamps.hidden_ns
+        return min(hidden, self.delays.late(delay, self._transit)) if hidden else 0
+
     def unstamped_ns(self, delay: int) -> int:
         """How much later than its stamp a reading of ``delay`` may have been sampled: 0 unless the stamp is
         latched when the SYNC comes. What the drive took from there is in no stamp, but in the delay."""

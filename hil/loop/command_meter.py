@@ -141,9 +141,9 @@ class CommandMeter:
         since, until = Instant(at - error), Instant(at + error)
         followed = self._followed
         in_force = self._in_force(since)
-        equal = [
+        equal = [  # of those in the past too: a stamped change may be told late
             place
-            for place in range(max(in_force, self._past), len(followed))
+            for place in range(max(in_force, 0), len(followed))
             if followed[place].raw == demand_raw
             and followed[place].may_be_there(until)
             and (self._unordered or not followed[place].acted_before(since))

@@ -25,6 +25,8 @@ step, and twice both, the bound of a sample, is half a period. So half a step to
 COARSEST_PARTS: Final = 3
 """One that advances by more leaves open which SYNC it is of, and any coarse one where echoes err. Order knows
 more."""
+TICK_MOST: Final = 125 * NS_PER_US
+"""The longest tick that a stamp may wait for where nothing shows whether it waits for one."""
 LEARNED_MIN: Final = 8
 """Fewer than so many say little of how far residuals reach."""
 LEARNED_MAX: Final = 64
@@ -99,6 +101,7 @@ class DriveStamps:
         """Its stamps, and when their SYNCs were handed over, which no adapter stamps."""
         self._heard_late = False
         """Whether SYNCs are another's, and their instants may all be late: they show no steps of stamps."""
+        self._may_hide = 0
 
     @property
     def coarse(self) -> bool:
@@ -126,6 +129,11 @@ class DriveStamps:
         """Of a stamp from its SYNC."""
         return self.residuals.change_ns**2 + self.resolution**2 / 12.0
 
+    @property
+    def hidden_ns(self) -> int:
+        """What a SYNC may be late at the drive without its stamp telling, as that may wait for a tick."""
+        return max(self._may_hide, self.residuals.hidden)
+
     def change_error_ns(self, device_ns: int) -> int:
         """By how much the map may misplace a change with this stamp, which shows its own steps."""
         clock, changes = self.clock, self._changes
@@ -147,8 +155,11 @@ class DriveStamps:
         handed = list(self._handed)
         self._coarsen(step_of(evenly_spaced(handed, self._period) if self._heard_late else handed))
         residuals.learn(residuals_of(pairs), self.unmapped_ns)
+        self._may_hide = residuals.reach if residuals.spread else 0
         if mark.handed_at != on_bus_at:  # a SYNC of our own, at a distance that was drawn
             self._changes.most = residuals.reach
+        elif self.resolution <= STAMP_RESOLUTION and (residuals.spread or not self._shows_uneven(pairs)):
+            self._may_hide = max(self._may_hide, min(TICK_MOST, self._period // COARSEST_PARTS))
         if residuals.spread:
             self.clock.start_anew(pairs, residuals.variance_ns2(self.unmapped_ns))
 
@@ -162,6 +173,13 @@ class DriveStamps:
             self.clock.set_resolution(self.resolution)
             self.unmapped_ns = self._unmapped()
             self.clock.start_anew(list(self._learned), self._echo_variance_ns2)
+
+    def _shows_uneven(self, pairs: list[tuple[int, Instant]]) -> bool:
+        """Whether SYNCs came at distances so uneven that stamps that wait for a tick would lie off them."""
+        first_at = pairs[0][1]
+        even = [(round((at - first_at) / self._period) * self._period, at) for _, at in pairs]
+        off = residuals_of(even)
+        return max(off) - min(off) > 4 * self.unmapped_ns
 
     def _explains(self, step: int) -> bool:
         """Whether a coarse resolution that was told explains all that is seen of a larger ``step``, which may

@@ -160,9 +160,11 @@ class StampAttribution:
         error_ns = 2 * match_ns + residuals.slack
         if self._echoes_late and residuals.spread:
             error_ns = residuals.reach // 2 + match_ns
-        elif residuals.early or residuals.late or lateness > match_ns:
-            # Nothing but the SYNC itself excludes that it was not late to the drive.
-            error_ns = max(lateness, residuals.hidden) + match_ns + residuals.slack
+        elif not self._echoes_late or lateness > match_ns:
+            # Nothing but the delay excludes that the SYNC was later to the drive than its stamp tells.
+            hidden = self._case.hidden_ns(reading.received_at - sampled_at)
+            late = max(lateness, hidden, 0 if residuals.spread else match_ns)
+            error_ns = late + match_ns + residuals.slack
         if error_ns > self._half:
             error_ns = self._case.bounded(error_ns, sampled_at - on_bus_at, reading.received_at - on_bus_at)
         self.stamps.follow(device_ns, on_bus_at, residual)

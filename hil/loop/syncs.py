@@ -66,8 +66,8 @@ class SyncMark:
         hand-over than the quickest of the last ones: it waited in front of the bus, or was stamped late. One
         of another node: as its distances from the others differ."""
         self.late_to_drives = False
-        """Whether drives may have heard it long after its end, and at one instant with others: their stamps do
-        not say which one it was."""
+        """Whether drives may have heard it long after its end, and at one instant with others: no stamp says
+        which one it was."""
         self.unsent = False
         """Whether it never went out, as the bus had no room for it."""
 
@@ -119,8 +119,8 @@ class SyncLog:
         self._ways = Extremes()
         """From the hand-over of a SYNC to its echo; of another node's, what their distances are off."""
         self._late_to_drives = 0
-        """Up to this number SYNCs may have come late to drives: an echo from before a hand-over came behind it,
-        so the bus itself, a hub, stood still."""
+        """Up to this number SYNCs may have come late to drives: an echo from before a hand-over came behind
+        it, so the bus itself, a hub, stood still."""
         self._counted = 0
         self._last_on_bus = Instant(-(1 << 62))
         self._heard_ns = 0

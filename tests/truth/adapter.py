@@ -26,13 +26,14 @@ class Adapter:
     """What stamps the frames, and how late."""
 
     basis: EchoBasis
-    """BUS: as a hub, the end of the frame. HARDWARE: the end of the frame in whole microseconds, whenever it is fetched. KERNEL: the end of the
-    wait. RECEIPT: the instant at which the loop fetches it. NONE: as KERNEL, without echoes."""
+    """BUS: the end of the frame, as of a hub. HARDWARE: that in whole microseconds, whenever it is fetched.
+    KERNEL: the end of the wait. RECEIPT: the instant at which the loop fetches it. NONE: as KERNEL, without
+    echoes."""
     late_us: float
     """The longest wait."""
     still_us: tuple[int, int] | None = None
-    """The process of a hub stands still from then until then: what was on the bus is fetched at the end of that,
-    with its stamps. A hub tells with an echo when its frame was handed over."""
+    """The process of a hub stands still from then until then: what was on the bus is fetched at the end of
+    that, with its stamps. A hub tells with an echo when its frame was handed over."""
 
 
 class _Waiting(NamedTuple):

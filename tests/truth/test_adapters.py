@@ -77,9 +77,9 @@ def test_another_s_syncs_that_are_stamped_late_show_no_steps_of_stamps(late_us: 
 def test_syncs_that_a_hub_brings_to_the_drive_together_are_in_doubt(
     first_late_us: int, second_late_us: int
 ) -> None:
-    """Its process stands still for 4 ms behind the end of a SYNC; the host goes on after two periods. The drive
-    hears both SYNCs then, at instants of its own that may be one and the same, and that of the next SYNC: two
-    readings were taken for copies of a third, which was a certain row of another SYNC."""
+    """Its process stands still for 4 ms behind the end of a SYNC; the host goes on after two periods. The
+    drive hears both SYNCs then, at instants of its own that may be one and the same, and that of the next
+    SYNC: two readings were taken for copies of a third, which was a certain row of another SYNC."""
     behind = 'direction = "host_to_drive", frames = ["sync"], side = "drive"'
     faults = (
         f"{{{behind}, delay_us = {first_late_us}, from_s = 0.1998, until_s = 0.2005}}",

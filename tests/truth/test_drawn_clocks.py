@@ -44,3 +44,17 @@ def test_syncs_that_wait_rest_on_their_echoes() -> None:
 def test_a_command_that_equals_an_older_one_may_be_told_by_a_copy_of_that() -> None:
     """It was replaced before it acted, and "acting" as the older one came once more."""
     verdict_of(410088, 260)
+
+
+@pytest.mark.parametrize(("seed", "cycles"), [(450280, 60), (450120, 30), (451333, 520)])
+def test_the_bound_holds_what_a_stamp_hides_that_waits_for_a_tick(seed: int, cycles: int) -> None:
+    """Of which the bench was told nothing. Another's SYNCs come at a whole number of ticks and never show it;
+    those of the calibration have, and a bound that waited for a second heap of stamps did not hold."""
+    verdict_of(seed, cycles)
+
+
+@pytest.mark.parametrize(("seed", "cycles"), [(451802, 200), (450790, 130)])
+def test_a_stamped_change_may_be_of_a_command_that_has_left(seed: int, cycles: int) -> None:
+    """Behind a horizon of eight periods: the next command, with the same data, was told for it, and acting
+    before the SYNC at which it could have."""
+    verdict_of(seed, cycles)

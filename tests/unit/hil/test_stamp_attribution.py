@@ -12,7 +12,7 @@ from servobench.hil.loop.drive_stamps import MATCH_NS
 from servobench.hil.loop.residuals import WATCHED
 from servobench.hil.loop.samples import Sample
 from servobench.hil.loop.stamp_attribution import StampAttribution
-from servobench.hil.loop.syncs import ECHO_ERROR, REMEMBERED, SURPLUS, SyncLog
+from servobench.hil.loop.syncs import ECHO_ERROR, REMEMBERED, STAMPED_LATE, SURPLUS, SyncLog
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, TRANSIT, reading_at
 
 DELAY = 250_000
@@ -24,7 +24,8 @@ FIRST = TAUGHT + 1
 
 
 class Rig:
-    """SYNC n ends at n periods; the first have taught the clock."""
+    """SYNC n of another node ends at n periods, the first ones later by up to 80 us where that shows that no
+    stamp waits for a tick of the drive; they have taught the clock."""
 
     def __init__(self, echoes: EchoBasis = EchoBasis.BUS, taught: int = TAUGHT) -> None:
         self.told: list[str] = []
@@ -35,12 +36,15 @@ class Rig:
             self.stamped.learn(self.reading(number), self.log.marks[-1])
 
     def sync(self, number: int, sequence: int | None = None) -> None:
-        self.log.heard(number if sequence is None else sequence, Instant(number * PERIOD))
+        self.log.heard(number if sequence is None else sequence, self.end_of(number))
 
-    @staticmethod
-    def reading(number: int, late: int = 0, delay: int = DELAY) -> Reading:
+    def end_of(self, number: int) -> Instant:
+        uneven = number <= TAUGHT and self.log.echoes not in STAMPED_LATE
+        return Instant(number * PERIOD + (number % 5 * 20_000 if uneven else 0))
+
+    def reading(self, number: int, late: int = 0, delay: int = DELAY) -> Reading:
         """Of SYNC ``number``, which was so late to the drive; received after ``delay`` from that SYNC on."""
-        at = number * PERIOD
+        at = self.end_of(number)
         return reading_at(Instant(at + delay), at + late + OFFSET)
 
     def place(self, number: int, late: int = 0, delay: int = DELAY) -> Sample | None:
@@ -212,7 +216,8 @@ def test_no_reading_is_later_than_its_frame() -> None:
 
 
 def test_syncs_that_are_always_late_are_not_late_the_clock_is_behind() -> None:
-    """The smallest lateness of all is the offset that it lacks, and no reading is in doubt for it."""
+    """The smallest lateness of all is the offset that it lacks, and no reading is in doubt for it. What a
+    stamp might hide that lay in two heaps once is held by what its delay leaves open."""
     rig = Rig()
     late_to_the_drive(rig, 60_000)
     for number in range(FIRST + 2 * WATCHED, FIRST + 4 * WATCHED):
@@ -221,7 +226,7 @@ def test_syncs_that_are_always_late_are_not_late_the_clock_is_behind() -> None:
         assert sample is not None
         assert sample.certain
         error_ns = sample.sampled_at_error_ns
-    assert error_ns < 10_000
+    assert error_ns < 16_000
 
 
 @pytest.mark.parametrize(("beyond", "kept"), [(0, STAMPS_MAX), (1, REMEMBERED)])
