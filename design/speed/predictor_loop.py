@@ -69,11 +69,10 @@ class PredictorLoop(PlantLoop):
 
     def _closed(self, L: Array) -> Array:
         """Return the product of ``chain(L)``: it is linear in L."""
-        return np.asarray(self._uncorrected + np.outer(self._entered @ L, self.read))
+        return np.asarray(self._uncorrected + np.outer(self._entered @ L, self._read))
 
     @property
-    def read(self) -> Array:
-        """The (size,) row of xi that is the innovation of a sample."""
+    def _read(self) -> Array:
         read = np.zeros(self.size)
         read[FILTERED], read[_OBSERVER + FILTERED] = 1.0, -1.0
         return read
@@ -112,7 +111,7 @@ class PredictorLoop(PlantLoop):
 
     def _sampled(self, L: Array) -> Array:
         J = np.eye(self.size)
-        J[_OBSERVER:_BUFFER] += np.outer(L, self.read)
+        J[_OBSERVER:_BUFFER] += np.outer(L, self._read)
         state, commands = self._state_ahead, self._commands_ahead
         J[_BUFFER:] = 0.0
         J[_BUFFER] = -self.prediction.F @ state @ J[_OBSERVER:_BUFFER]

@@ -85,24 +85,18 @@ class Axis:
         self._record = record
         self._asks_speeds = parts.reference.quantity is Quantity.SPEED
         self._asks_positions = parts.reference.quantity is Quantity.POSITION
-        self._acts_later = parts.acts_later
         self._drive = parts.drive
         self._controller = parts.controller
         self._compensator = parts.compensator
         self._context = Context(period, parts.reference)
         self._way_back = WayBack(parts.reference, period, *parts.guard.path_limits)
-        self._host = MonotonicClock()
-        """For what compensator and controller take, also where time is simulated."""
+        self._host = MonotonicClock()  # what compensator and controller take is real in any case
         self.uncertain = 0  # rows marked so
         self.lessons = Lessons(syncs)
-        self._decisions: list[Decision] = []
-        """Of the cycles whose readings' fates are open, the oldest first."""
-        self._settled: list[Decision] = []
-        """Of those whose commands' fates still are."""
-        self._load_nm = 0.0
-        self._begun = 0
-        self._kept: list[Reading] = []
-        """Readings that came and are not taken in yet, in their order."""
+        self._decisions: list[Decision] = []  # of cycles whose readings' fates are open, the oldest first
+        self._settled: list[Decision] = []  # of those whose commands' fates still are
+        self._load_nm, self._begun = 0.0, 0
+        self._kept: list[Reading] = []  # readings that came and are not taken in yet, in their order
 
     def _attribute(self) -> None:
         """Nothing is known yet of the drive's clock and delays."""
@@ -138,17 +132,19 @@ class Axis:
     def _learn(self, reading: Reading, mark: SyncMark) -> None:
         assert mark.on_bus_at is not None
         if self._by_stamps and self.lessons.stamp_stands_still:
-            self._by_stamps = self.by_stamp.clock.ready = False
-            self.parts.tell("its stamp stands still: its readings are placed by their order")
+            self._leave_stamps("stands still")
         if self._by_stamps and reading.device_time_ns is not None:
             self.by_stamp.learn(reading, mark)
             if self.by_stamp.stamps.too_coarse:
-                self._by_stamps = self.by_stamp.clock.ready = False
-                us = self.by_stamp.stamps.resolution // NS_PER_US
-                self.parts.tell(f"its stamp advances by {us} us: its readings are placed by their order")
+                self._leave_stamps()
         if not self._by_stamps or reading.device_time_ns is None:
             self.by_order.learn(reading, mark)
         self.meter.learn(Duration(reading.received_at - mark.on_bus_at))
+
+    def _leave_stamps(self, why: str = "") -> None:
+        self._by_stamps = self.by_stamp.clock.ready = False
+        why = why or f"advances by {self.by_stamp.stamps.resolution // NS_PER_US} us"
+        self.parts.tell(f"its stamp {why}: its readings are placed by their order")
 
     def learn_anew(self) -> None:
         """Learn again from what came while calibrating: the instants of its SYNCs are others now."""
@@ -226,7 +222,7 @@ class Axis:
     def decide(self, tick: Tick, now: Instant, apply_at: Instant) -> None:
         """Compute, limit and send the command of this cycle."""
         parts, context, guard = self.parts, self._context, self.parts.guard
-        apply_at = Instant(apply_at + self._acts_later)
+        apply_at = Instant(apply_at + parts.acts_later)
         decision = self._decisions[-1]
         self._apply_load(parts.load.value(tick.time_s))
         decision.load_torque_nm = self._load_nm
@@ -299,12 +295,11 @@ class Axis:
         asked = reference.value(tick.time_s)
         if self._asks_speeds:
             return Decision(tick, asked, self._load_nm)
-        if self._asks_positions:
-            decision = Decision(tick, reference.rate(tick.time_s), self._load_nm)
-            decision.reference_rad = asked
-            return decision
         decision = Decision(tick, math.nan, self._load_nm)
-        decision.reference_nm = asked
+        if self._asks_positions:
+            decision.reference_rad_s, decision.reference_rad = reference.rate(tick.time_s), asked
+        else:
+            decision.reference_nm = asked
         return decision
 
     def _take(self, reading: Reading) -> None:
@@ -312,6 +307,12 @@ class Axis:
         question = self.by_stamp.question if by_stamp else self.by_order.question
         was_open, twice = question.open, self.by_stamp.health.duplicates + self.by_order.health.duplicates
         sample = self.by_stamp.place(reading) if by_stamp else self.by_order.place(reading)
+        if by_stamp and sample is None and self.by_stamp.stamps.too_coarse:
+            self._leave_stamps()
+            for known, mark in [*self.lessons.pairs, *self.by_stamp.recent]:
+                self.by_order.learn(known, mark)
+            self._take(reading)
+            return
         again = self.by_stamp.health.duplicates + self.by_order.health.duplicates > twice
         if by_stamp and (sample is not None or question.open) and not again:
             self._changes.reading(reading, certain=sample is not None and sample.certain)

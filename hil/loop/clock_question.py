@@ -181,6 +181,21 @@ class ClockQuestion:
         assert mark.on_bus_at is not None
         return mark.on_bus_at - before.on_bus_at < self._half
 
+    def excludes_steps(self, mark: SyncMark, delay: int, suspects: list[Suspect]) -> bool:
+        """Whether a ``delay`` from the SYNC of ``mark`` would be unusual from those beside it, as a clock set
+        by whole periods would have it; not if those of many suspects are longer, too."""
+        gaps = [(other.on_bus_at or 0) - (mark.on_bus_at or 0) for other in self._syncs.beside(mark)]
+        before = min([2 * self._half, *(-gap for gap in gaps if gap < 0)])
+        behind = min([2 * self._half, *(gap for gap in gaps if gap > 0)])
+        low, high, slack = self.delays.low, self.delays.high, self.delays.slack()
+        if any(suspect.early for suspect in suspects):
+            return False  # it came before its SYNC, which no network can do
+        if not high - before + slack < delay < max(behind, low + behind - slack):
+            return False
+        place = self._stamps.clock.place
+        delays = [suspect.received_at - place(suspect.device_ns) for suspect in suspects]
+        return len(delays) < AGREEING or min(delay, *delays) < low + self._half
+
     def free_marks(self, latest: Instant) -> list[SyncMark]:
         """SYNCs of cycles that had ended by ``latest`` and have no stamp."""
         return [

@@ -99,6 +99,9 @@ class DriveStamps:
         """Stamps and SYNCs of a calibration."""
         self._handed: deque[tuple[int, Instant]] = deque(maxlen=LEARNED_MAX)
         """Its stamps, and when their SYNCs were handed over, which no adapter stamps."""
+        self._first: int | None = None
+        self._grid = 0
+        """The greatest common divisor of all distances from the first stamp, as far as it is looked for."""
         self._heard_late = False
         """Whether SYNCs are another's, and their instants may all be late: they show no steps of stamps."""
         self._may_hide = 0
@@ -144,6 +147,8 @@ class DriveStamps:
     def learn(self, device_ns: int, mark: SyncMark, on_bus_at: Instant) -> None:
         """Take a stamp that can only be of the SYNC of ``mark``."""
         residuals, learned = self.residuals, self._learned
+        self._first = device_ns if self._first is None else self._first
+        self._grid = math.gcd(self._grid, device_ns - self._first)
         self.clock.observe(device_ns, on_bus_at, self._echo_variance_ns2)
         learned.append((device_ns, on_bus_at))
         self._handed.append((device_ns, mark.handed_at))
@@ -188,6 +193,17 @@ class DriveStamps:
             return False
         off = residuals_of(list(self._learned))
         return max(off) - min(off) <= self._told
+
+    def show_coarser(self, device_ns: int) -> bool:
+        """Whether this stamp and all before lie on a grid that is too coarse: their resolution from now on.
+        SYNCs at equal distances hide such steps until the clock's rate has moved it against them."""
+        assert self._first is not None
+        before = self.resolution
+        self.resolution = Duration(math.gcd(self._grid, device_ns - self._first))
+        if self.resolution > before and self.too_coarse:
+            return True
+        self.resolution = before
+        return False
 
     def _unmapped(self) -> int:
         off = self.resolution
@@ -234,6 +250,8 @@ class DriveStamps:
     def follow(self, device_ns: int, on_bus_at: Instant, residual: int) -> None:
         """Let map and residuals follow a stamp that lies on its SYNC."""
         residuals, match_ns = self.residuals, self.match_ns
+        if self._grid > self.resolution and self._first is not None:
+            self._grid = math.gcd(self._grid, device_ns - self._first)
         on_map = Instant(on_bus_at + residual - residuals.cut(residual, match_ns))
         self.clock.observe(
             device_ns, on_map, max(self._echo_variance_ns2, residuals.variance_ns2(self.unmapped_ns))

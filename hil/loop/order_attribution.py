@@ -94,7 +94,7 @@ class OrderAttribution:
             self._answered = self._known = mark.number
             return self._sample(reading, mark, certain=True)
         row = self._kept_order.take(reading, self._known, copy)
-        if self._kept_order.leads:
+        if self._kept_order.leads and not usual.leads:
             return self._in_order(reading, row)
         if not usually:
             mark = self._followed(received_at)
@@ -290,7 +290,7 @@ class OrderAttribution:
             return self._sample(reading, mark, certain=True)
         self._usual.stray(copy=copy)
         if next_one and self._in_question.phase_known and len(self._strays) < STRAYS_MAX:
-            return self._count_in(reading, mark, age, copy and self._untidy > 0)
+            return self._count_in(reading, mark, age, behind_unheard or (copy and self._untidy > 0))
         if held is None and self._is_held(mark, age, copy):
             return self._hold(reading, mark)
         probing = self._in_question.is_before_probe(reading.received_at, self._answered, self._lags())
@@ -377,7 +377,7 @@ class OrderAttribution:
         mark, question = self._open.take(latest), self._in_question
         tells_nothing = self._sure or copy or question.may_be_others
         if mark is not None and not tells_nothing and self._open.since(self._known) == 0:
-            if not self._usual.narrow:
+            if not self._usual.narrow or question.strays_often:
                 self._unsure.clear()
             self._settle(0)
         return mark

@@ -12,7 +12,7 @@ import math
 from typing import Final
 
 from servobench.drivers.timebase import Duration, Instant
-from servobench.hil.loop.syncs import STAMPED_LATE, SyncLog, SyncMark
+from servobench.hil.loop.syncs import SyncLog, SyncMark
 from servobench.hil.loop.usual_delays import RARE, RESOLUTION_NS
 
 WATCHED: Final = 64
@@ -92,9 +92,10 @@ class OrderEvidence:
     def _may_have(self, lag: int, delays: list[int], few: int) -> bool:
         """Whether at most one of so ``few`` readings comes sooner with this lag than its frame can. The SYNC
         before a reading may be none of its own either, but where its echo was stamped late."""
-        if lag > 0 or (lag == 0 and self._syncs.basis in STAMPED_LATE):
+        if lag > 0:
             return True
-        return few * sum(delay < self._soonest for delay in delays) <= len(delays)
+        soonest = self._soonest - self._syncs.late_most
+        return few * sum(delay < soonest for delay in delays) <= len(delays)
 
     def usual_delays(self, lag: int) -> list[int]:
         """The same, without those of single readings that were held up."""

@@ -10,7 +10,7 @@ from typing import Final
 from servobench.drivers.timebase import Duration, Instant
 from servobench.hil.loop.attribution import HELD_MAX
 from servobench.hil.loop.order_evidence import WATCHED, OrderEvidence
-from servobench.hil.loop.syncs import STAMPED_LATE, SyncLog
+from servobench.hil.loop.syncs import SyncLog
 from servobench.hil.loop.usual_delays import (
     ALIKE_MIN,
     RARE,
@@ -142,7 +142,7 @@ class OrderQuestion:
 
     def _comes_too_soon(self, delay: int) -> bool:
         """Whether a reading of the SYNC before would have come sooner than its frame can."""
-        return delay < self._soonest and self._syncs.basis not in STAMPED_LATE
+        return delay + self._syncs.late_most < self._soonest
 
     @property
     def may_be_others(self) -> bool:
@@ -150,6 +150,11 @@ class OrderQuestion:
         of later ones, or have come too soon for it."""
         too_soon = any(since.too_soon >= TOO_SOON for _, since in self._misses)
         return too_soon or not self.phase_known or self.sooner() > 0
+
+    @property
+    def strays_often(self) -> bool:
+        """Whether more readings than the last one, and than are rare, came at delays that are not usual."""
+        return any(since.strays_often for _, since in self._misses)
 
     def settled(self, number: int, lag: int) -> bool:
         """The answer is ``lag``, up to SYNC ``number``; whether delays have changed, and nothing was lost."""
@@ -237,10 +242,8 @@ class OrderQuestion:
 
     def sooner(self) -> int:
         """By how many SYNCs a reading may be a later one's: no reading comes sooner than its frame can."""
-        if self._syncs.basis in STAMPED_LATE:
-            return 0
         longest = self._usual.high if self.phase_known else max(self.evidence.delays(0), default=0)
-        return max(0, longest - self._soonest) // self._period
+        return max(0, longest + self._syncs.late_most - self._soonest) // self._period
 
     def lag(self, lags: int, *, beyond: bool, untidy: bool) -> int | None:
         """With which readings follow their SYNCs, if it can be told: of ``lags``, 0, 1, ..., or below 0.
@@ -248,6 +251,7 @@ class OrderQuestion:
         ``beyond``: no row waits for the answer. ``untidy``: frames are held up now and then.
         """
         evidence, phase = self.evidence, self.phase_known
+        untidy = untidy or (self.odd > 0 and len(evidence) < EVIDENCE_UNUSUAL)
         due = self.asked <= PROBE_AFTER or self.asked % (WATCHED // 4 if beyond else 2) == 0
         if not due or len(evidence) < (EVIDENCE_MIN if phase else EVIDENCE_UNUSUAL):
             return None

@@ -127,6 +127,15 @@ class DelayExtremes(Extremes):
         self._reach = -1
         """From the smallest of them to the last of :data:`LEAST`; -1: to be found."""
         self._least_before: list[int] = []
+        self._longer = 0
+        """Delays in a row, see :meth:`stay_longer`."""
+
+    def stay_longer(self, delay: int, by: int) -> bool:
+        """Whether this is the last of several in a row that are longer than the least by more than ``by``,
+        and by more than most of what delays spread over."""
+        most = self.low + max(by, (self.high - self.low) * 3 // 4)
+        self._longer = self._longer + 1 if delay > most else 0
+        return self._longer == FEW
 
     def add(self, value: int) -> None:
         if self._count == 0:

@@ -80,15 +80,16 @@ class StampAttribution:
         return self._case.delays.high
 
     @property
+    def recent(self) -> list[tuple[Reading, SyncMark]]:
+        """The last readings that are not in question, and their SYNCs."""
+        last_of = self._syncs.last_of
+        return [(each.reading, mark) for each in self._recent if (mark := last_of(each.sequence)) is not None]
+
+    @property
     def may_overtake(self) -> bool:
         """Whether delays spread so much that a frame may come before one of the SYNC before its own."""
         delays = self._case.delays
         return max(delays.high, self._slowest) - delays.low >= self._half + self._half // 2
-
-    @property
-    def _early(self) -> bool:
-        """Whether a suspect would have come before its SYNC, which no network can do."""
-        return any(suspect.early for suspect in self._suspects)
 
     def learn(self, reading: Reading, mark: SyncMark) -> None:
         """Take a reading that can only answer the SYNC of ``mark``."""
@@ -138,15 +139,12 @@ class StampAttribution:
         """Whether a reading on a free SYNC raises no question, and answers the one that may be open."""
         if delay < self._transit and self.spread and delay < self._transit - self.stamps.near_ns:
             return False
-        low, high, slack = self._case.delays.low, self._case.delays.high, self._case.delays.slack()
-        if not low - self._half - slack <= delay <= high + self._half + slack:
+        delays, beyond = self._case.delays, self._half + self._case.delays.slack()
+        if not delays.low - beyond <= delay <= delays.high + beyond:
             return False
         if not self._suspects:
-            return True
-        # A clock set back by a period or more makes every delay longer, set forward shorter: not this one.
-        period = 2 * self._half
-        telling = high - period + slack < delay < max(period, low + period - slack)
-        return telling and mark.number > self._case.since and not self._early
+            return not delays.stay_longer(delay, self._half)
+        return mark.number > self._case.since and self._case.excludes_steps(mark, delay, self._suspects)
 
     def _matched(self, reading: Reading, device_ns: int, mark: SyncMark, residual: int) -> Sample | None:
         health, residuals, match_ns = self.health, self._residuals, self.stamps.match_ns
@@ -264,15 +262,17 @@ class StampAttribution:
         if any(suspect.device_ns == device_ns for suspect in suspects):
             self.health.duplicates += 1
             return None
-        if not suspects:
-            self.doubt.proved = self.doubt.proved or not self.doubt.open
-            self._case.since = self._case.answered
-            if self.spread:
-                self._revoke()
         reach_ns = self.stamps.near_ns - self.clock.error_ns
         if self._echoes_late:  # the map lies in the middle of what it may be off
             reach_ns = self.stamps.match_ns + self._residuals.high
         early = at > reading.received_at - self._transit + reach_ns
+        if not suspects:
+            if (early or known is not None) and not self.doubt.open and self.stamps.show_coarser(device_ns):
+                return None
+            self.doubt.proved = self.doubt.proved or not self.doubt.open
+            self._case.since = self._case.answered
+            if self.spread:
+                self._revoke()
         suspects.append(Suspect(device_ns, reading.received_at, known, early))
         if free is not None:
             self._slowest = max(self._slowest, reading.received_at - at)

@@ -121,9 +121,14 @@ class SyncLog:
         self._late_to_drives = 0
         """Up to this number SYNCs may have come late to drives: an echo from before a hand-over came behind
         it, so the bus itself, a hub, stood still."""
-        self._counted = 0
-        self._last_on_bus = Instant(-(1 << 62))
-        self._heard_ns = 0
+        self.counted = 0
+        """SYNCs so far, handed over or heard, surplus ones among them."""
+        self.last_on_bus = Instant(-(1 << 62))
+        """The end of the last SYNC on the bus."""
+        self.heard_ns = 0
+        """For how long the bus has been heard of so far: the time from SYNC to SYNC on it, but no more of one
+        that came late than a SYNC may take. While a bus stands still, what it is to bring lies there, and it
+        comes behind the first SYNC after that."""
 
     def handed(self, sequence: int, at: Instant) -> SyncMark:
         """A SYNC has been handed over."""
@@ -167,10 +172,10 @@ class SyncLog:
         """A SYNC that another node makes in each period ended on the bus."""
         self.of_another = True
         if self.marks:
-            periods = (at - self._last_on_bus + self._period // 2) // self._period
+            periods = (at - self.last_on_bus + self._period // 2) // self._period
             self.missing += max(0, periods - 1)
             if self._echoes_late and periods > 0:
-                self._ways.add(abs(at - self._last_on_bus - periods * self._period))
+                self._ways.add(abs(at - self.last_on_bus - periods * self._period))
         mark = self._end_of_other(sequence, at)
         mark.late_ns = self._ways.high + self._ways.slack()
         return mark
@@ -192,7 +197,7 @@ class SyncLog:
         self._pending.remove(mark)
         self._put_on_bus(mark, at)
         if self.marks[-1].handed_at > at:
-            self._late_to_drives = self._counted + 1
+            self._late_to_drives = self.counted + 1
         mark.late_to_drives = mark.number <= self._late_to_drives
 
     def not_heard(self, until: Instant) -> None:
@@ -268,25 +273,16 @@ class SyncLog:
         return bool(pending) and pending[-1].on_bus_at is None and pending[-1].handed_at <= at
 
     @property
-    def counted(self) -> int:
-        """SYNCs so far, handed over or heard, surplus ones among them."""
-        return self._counted
-
-    @property
-    def heard_ns(self) -> int:
-        """For how long the bus has been heard of so far: the time from SYNC to SYNC on it, but no more of one
-        that came late than a SYNC may take. While a bus stands still, what it is to bring lies there, and it
-        comes behind the first SYNC after that."""
-        return self._heard_ns
+    def late_most(self) -> int:
+        """By how much a SYNC may have ended before the instant that is known of it, ns."""
+        if self.basis not in STAMPED_LATE:
+            return 0
+        ways = self._ways
+        return ways.high + ways.slack() - (0 if self.of_another else ways.low)
 
     def heard_for(self, cycles: int, before_ns: int) -> bool:
         """Whether the bus was heard of for so many cycles since :attr:`heard_ns` was ``before_ns``."""
-        return self._heard_ns - before_ns >= cycles * self._period
-
-    @property
-    def last_on_bus(self) -> Instant:
-        """The end of the last SYNC on the bus."""
-        return self._last_on_bus
+        return self.heard_ns - before_ns >= cycles * self._period
 
     def end_of_first_after(self, sequence: int) -> Instant:
         """When the first SYNC of a cycle after ``sequence`` ended on the bus; NEVER if there is none yet."""
@@ -369,8 +365,8 @@ class SyncLog:
         return mark
 
     def _remember(self, sequence: int, at: Instant) -> SyncMark:
-        self._counted += 1
-        mark = SyncMark(self._counted, sequence, at)
+        self.counted += 1
+        mark = SyncMark(self.counted, sequence, at)
         mark.place += self.missing
         marks = self.marks
         marks.append(mark)
@@ -391,8 +387,8 @@ class SyncLog:
         self._note_spacing(at)
 
     def _note_spacing(self, at: Instant) -> None:
-        spacing = at - self._last_on_bus
+        spacing = at - self.last_on_bus
         if spacing < self._period // 2:
             self.crowded += 1
-        self._heard_ns += max(0, min(spacing, GIVEN_UP_AFTER_PERIODS * self._period))
-        self._last_on_bus = at
+        self.heard_ns += max(0, min(spacing, GIVEN_UP_AFTER_PERIODS * self._period))
+        self.last_on_bus = at

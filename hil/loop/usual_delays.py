@@ -95,6 +95,16 @@ class UsualDelays:
         return FREE_PARTS * self.parts * self.spread <= (FREE_PARTS - 1) * self._period
 
     @property
+    def _others_are_rare(self) -> bool:
+        """Whether few of the last readings came at another delay."""
+        return RARE * self._unusual <= 1.0
+
+    @property
+    def leads(self) -> bool:
+        """Whether most of the last readings had a usual delay that is one of one SYNC only."""
+        return self.apart and self._others_are_rare
+
+    @property
     def narrow(self) -> bool:
         """Whether one of another delay hardly looks usual: they spread over half a period at the most."""
         return 2 * self.parts * self.spread <= self._period
@@ -119,8 +129,8 @@ class UsualDelays:
         self._told += self._told < KEPT
         self._unusual -= self._unusual / (RARE + self._told)
         self._placed += certain and self._placed < FIRST
-        rare = RARE * self._unusual <= 1.0 and (self._placed >= FIRST or self._may_be_all)
-        return certain and rare and (self.narrow or 2.0 * self._unsure < 1.0)
+        known = self._others_are_rare and (self._placed >= FIRST or self._may_be_all)
+        return certain and known and (self.narrow or 2.0 * self._unsure < 1.0)
 
     def stray(self, *, copy: bool) -> None:
         """A reading came at an unusual delay, a ``copy`` of another perhaps."""
@@ -249,6 +259,11 @@ class Resemblance:
     def seen(self) -> int:
         """How many there are."""
         return self._count + self._others
+
+    @property
+    def strays_often(self) -> bool:
+        """Whether more than the last delay, and than are rare, were not usual."""
+        return RARE * (self._others - 1) > self._count
 
     def stray(self) -> None:
         """A delay is not usual. Too many of them, and it begins again: later ones may be."""

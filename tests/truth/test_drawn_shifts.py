@@ -1,0 +1,50 @@
+"""Drawn plans in which readings were placed on the SYNC before or behind their own, for certain."""
+
+import pytest
+
+from tests.truth.drawn import drawn_plan
+from tests.truth.drawn_run import judged
+
+
+@pytest.mark.parametrize(
+    ("seed", "cycles", "unsure"), [(451230, 950, 90), (450285, 1180, 400), (452008, 1160, 90)]
+)
+def test_a_sync_ended_before_an_echo_that_is_stamped_late(seed: int, cycles: int, unsure: int) -> None:
+    """So a reading a period behind an echo may be that of the next SYNC, whose echo was stamped behind it: a
+    gateway's delay that ended was taken for one that had grown. 66, 64 and 30 rows were a SYNC off."""
+    verdict = judged(drawn_plan(seed), cycles)
+    assert verdict.wrong == {}, verdict.examples
+    assert verdict.readings.uncertain < unsure
+
+
+@pytest.mark.parametrize(("seed", "cycles"), [(450805, 1500), (451018, 1500)])
+def test_the_order_decides_only_where_the_last_delays_spread_over_a_period(seed: int, cycles: int) -> None:
+    """They did so with those of before a gateway's step: 252 and 18 rows behind a reading told lost."""
+    verdict = judged(drawn_plan(seed), cycles)
+    assert verdict.wrong == {}, verdict.examples
+
+
+def test_a_clock_set_back_by_a_period_is_no_delay_that_has_grown() -> None:
+    """Its first reading was lost, so each lay on a SYNC that had none, and within what one that was held up
+    had made of delays; or one seemed too short for such a clock, as a SYNC had come sooner, or a gateway's
+    delay had ended: 1131 rows."""
+    verdict = judged(drawn_plan(451670), 1400)
+    assert verdict.wrong == {}, verdict.examples
+    assert verdict.readings.uncertain < 160
+
+
+def test_a_stamp_shows_its_steps_once_the_clock_s_rate_has_moved_it() -> None:
+    """A calibration by SYNCs at equal distances had not: "its clock was set by +1005 us", and 78 rows lay on
+    the SYNC behind their own."""
+    verdict = judged(drawn_plan(451091), 720)
+    assert verdict.wrong == {}, verdict.examples
+    assert verdict.readings.uncertain < 80
+
+
+@pytest.mark.parametrize(("seed", "cycles"), [(450744, 640), (451108, 150), (451359, 60), (451792, 400)])
+def test_what_a_single_reading_seems_to_show(seed: int, cycles: int) -> None:
+    """A surplus one among many of other delays does not show that none was lost, nor one that was held up
+    that all come three periods later, nor one behind a SYNC that was not heard that it answers the one
+    before. 1 to 3 rows each."""
+    verdict = judged(drawn_plan(seed), cycles)
+    assert verdict.wrong == {}, verdict.examples
