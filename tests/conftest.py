@@ -31,6 +31,8 @@ ON_LINUX = {Path(__file__).parent / each for each in ("can", "vcan")}
 _witness: Witness | None = None
 """One for each worker, made when it is first needed."""
 _left_out: list[str] = []
+_ORDER = pytest.StashKey[tuple[bool, bool]]()
+"""Of a test: whether it needs no real time, and whether it is a quick unit test."""
 
 
 def pytest_configure() -> None:
@@ -42,13 +44,16 @@ def pytest_configure() -> None:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Give the tests in real time their further tries; they go first, then all but the quick unit tests."""
-    for item in items:
-        if _is_in_real_time(item):
-            item.add_marker(pytest.mark.flaky(reruns=TRIES - 1, condition=_is_excused))
     long = {item.path for item in items if item.get_closest_marker("long")}
-    items.sort(
-        key=lambda item: (not _is_in_real_time(item), UNIT in item.path.parents and item.path not in long)
-    )
+    of_path = {path: ({*path.parents}, path in long) for path in {item.path for item in items}}
+    for item in items:
+        above, is_long = of_path[item.path]
+        group = item.get_closest_marker("xdist_group")
+        in_real_time = not ON_LINUX.isdisjoint(above) or (group is not None and REAL_TIME in group.args)
+        item.stash[_ORDER] = (not in_real_time, UNIT in above and not is_long)
+        if in_real_time:
+            item.add_marker(pytest.mark.flaky(reruns=TRIES - 1, condition=_is_excused))
+    items.sort(key=lambda item: item.stash[_ORDER])
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -127,8 +132,7 @@ def forked_children() -> Iterator[None]:
 
 
 def _is_in_real_time(item: pytest.Item) -> bool:
-    group = item.get_closest_marker("xdist_group")
-    return not ON_LINUX.isdisjoint(item.path.parents) or (group is not None and REAL_TIME in group.args)
+    return not item.stash[_ORDER][0]
 
 
 def _is_left_out(item: pytest.Item, call: pytest.CallInfo[None]) -> bool:

@@ -14,12 +14,12 @@ from collections.abc import Hashable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
 
 from servobench.design.delay.delay_loop import Array
-from servobench.design.sampled.held_loop import HeldInput, Jump, Operation
+from servobench.design.sampled.held_loop import HeldInput, Operation
+from servobench.design.sampled.loaded_periods import LoadedPeriods
 from servobench.design.sampled.random_losses import Fates, Outcome, stationary
 
 WITHIN = 16
@@ -75,7 +75,7 @@ class JumpLoop:
         self.following = following
         """(memories, outcomes): number of the memory that follows."""
         numbers = {memory: number for number, memory in enumerate(memories)}
-        loaded = _Loaded(controller)
+        loaded = LoadedPeriods(controller.loop, controller.period_s, WITHIN)
         periods = [
             [loaded.period(controller.chain(memory, outcome)) for outcome in fates.outcomes]
             for memory in memories
@@ -160,49 +160,6 @@ class JumpLoop:
             moved = np.einsum("ij,mink->mjnk", moves, A @ X @ A.transpose(0, 1, 3, 2))
             np.add.at(later, self.following[:, outcome], moved)
         return later
-
-
-class _Loaded:
-    """Periods of a loop under a load, which is the last entry of their state."""
-
-    def __init__(self, controller: Remembering) -> None:
-        self._loop, self._period_s = controller.loop, controller.period_s
-        model, n = self._loop.model, len(self._loop.model.A)
-        self._rates = np.zeros((n + 2, n + 2))  # of [x, u, load]
-        self._rates[:n, :n], self._rates[:n, n], self._rates[:n, n + 1] = model.A, model.B1, model.B2
-        self._places = [*range(n + 1), self._loop.size]
-        self._look = np.zeros(self._loop.size + 1)
-        self._look[:n] = math.copysign(1.0, model.C @ model.B2) * model.C
-        self._flows: dict[float, Array] = {}
-
-    def begin(self) -> tuple[Array, Array]:
-        """Return the state a period after the load came, from rest, and the errors until then."""
-        whole, looks = self.period([])
-        return whole[:, -1], looks[:, -1]
-
-    def period(self, chain: Sequence[Operation]) -> tuple[Array, Array]:
-        """Return a period's map (N, N), and the errors within it (WITHIN, N)."""
-        at_s, total = 0.0, np.eye(len(self._look))
-        looks: list[Array] = []
-        whole_s = self._period_s * (1.0 + 1e-9)
-        for operation in (*chain, None):
-            if isinstance(operation, Jump):
-                total[:-1] = operation.J @ total[:-1]
-                continue
-            length_s = self._period_s - at_s if operation is None else operation.length_s
-            while (next_s := self._period_s * (len(looks) + 1) / WITHIN) <= min(at_s + length_s, whole_s):
-                looks.append(self._look @ self._flow(next_s - at_s) @ total)
-            total, at_s = self._flow(length_s) @ total, at_s + length_s
-        looks += [self._look @ total] * (WITHIN - len(looks))
-        return total, np.array(looks)
-
-    def _flow(self, length_s: float) -> Array:
-        known = self._flows.get(length_s)
-        if known is None:
-            known = np.eye(len(self._look))
-            known[np.ix_(self._places, self._places)] = scipy.linalg.expm(self._rates * length_s)
-            self._flows[length_s] = known
-        return known
 
 
 def _reached(

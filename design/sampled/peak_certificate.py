@@ -346,7 +346,7 @@ class _Tube:
     def _start_bend(self, norm: _Norm) -> float:
         """Return how far the first states depart from the chords between the evaluated ones."""
         width = self._loop.network.period_s / _START_PARTS
-        bend = width**2 / 8.0 * start_curvature(self._loop)
+        bend = width**2 / 8.0 * start_curvature(self._loop.model, self._loop.network.period_s)
         return max(float(np.linalg.norm(T, axis=0)[: len(bend)] @ bend) for T in norm.T)
 
 

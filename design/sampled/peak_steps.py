@@ -16,6 +16,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from servobench.design.delay.delay_loop import Array
+from servobench.design.delay.speed_loop import SpeedModel
 from servobench.design.errors import NoSolution
 from servobench.design.sampled.admissible_steps import Family
 from servobench.design.sampled.held_loop import HeldLoop
@@ -127,15 +128,15 @@ def _output_bend(loop: HeldLoop, times_s: Array) -> float:
 def _slope_max(loop: HeldLoop) -> float:
     """Bound |C A e^{At} B1| within a period."""
     model = loop.model
-    return float(np.abs(model.C @ model.A) @ _growth(loop) @ np.abs(model.B1))
+    return float(np.abs(model.C @ model.A) @ _growth(model, loop.network.period_s) @ np.abs(model.B1))
 
 
-def _growth(loop: HeldLoop) -> Array:
+def _growth(model: SpeedModel, period_s: float) -> Array:
     """Bound |e^{At}| within a period, entry by entry: without what decays by itself."""
-    A = loop.model.A
+    A = model.A
     bound = np.abs(A)
     np.fill_diagonal(bound, np.maximum(np.diag(A), 0.0))
-    return np.asarray(expm(bound * loop.network.period_s))
+    return np.asarray(expm(bound * period_s))
 
 
 def instants_for(bend: float, allowed: float) -> int:
@@ -145,23 +146,32 @@ def instants_for(bend: float, allowed: float) -> int:
     return min(max(instants, _INSTANTS_MIN), _INSTANTS_MAX)
 
 
+def error_curvature(model: SpeedModel, period_s: float) -> tuple[Array, float, float]:
+    """Bound the error's second derivative within a period, linear in bounds of three things.
+
+    Of the state at the period's begin (n,), of all inputs within it, and of the load. Raises NoSolution.
+    """
+    A, C = model.A, model.C
+    if abs(C @ model.B1) > 0.0:
+        raise NoSolution("certificate of the peak", "the input acts on the error at once")
+    # with e = C x the second derivative jumps with the input, the first does not
+    of_state = np.abs(C @ A @ A) @ _growth(model, period_s)
+    of_input = float(of_state @ np.abs(model.B1)) * period_s + abs(float(C @ A @ model.B1))
+    of_load = float(of_state @ np.abs(model.B2)) * period_s + abs(float(C @ A @ model.B2))
+    return of_state, of_input, of_load
+
+
 def between_instants(loop: HeldLoop, x: Array, held: float, instants: int, load: float = 1.0) -> float:
     """Return how far the error may depart from its chords between the instants of a period.
 
     ``x`` (n,), ``held``: bounds of the state at the period's begin, and of all inputs within it; ``load``: N
     m.
     """
-    model, h = loop.model, loop.network.period_s
-    A, C = model.A, model.C
-    if abs(C @ model.B1) > 0.0:
-        raise NoSolution("certificate of the peak", "the input acts on the error at once")
-    size = _growth(loop) @ (x + h * (np.abs(model.B1) * held + np.abs(model.B2) * load))
-    # with e = C x the second derivative jumps with the input, the first does not
-    second = np.abs(C @ A @ A) @ size + abs(C @ A @ model.B1) * held + abs(C @ A @ model.B2) * load
-    return float((h / instants) ** 2 / 8.0 * second)
+    h = loop.network.period_s
+    of_state, of_input, of_load = error_curvature(loop.model, h)
+    return float((h / instants) ** 2 / 8.0 * (of_state @ x + of_input * held + of_load * load))
 
 
-def start_curvature(loop: HeldLoop) -> Array:
+def start_curvature(model: SpeedModel, period_s: float) -> Array:
     """Bound the second derivative of the state in the first period under load, (n,)."""
-    model = loop.model
-    return np.asarray(np.abs(model.A) @ _growth(loop) @ np.abs(model.B2))
+    return np.asarray(np.abs(model.A) @ _growth(model, period_s) @ np.abs(model.B2))

@@ -55,7 +55,7 @@ def _simulated(loop: HeldLoop, family: Family, parts: int) -> PeakBound:
     step = loaded_steps(loop, 0, 0, corners_of(loop, family, np.eye(loop.kept), np.inf), parts)
     M, n, rest = step.M[0], len(loop.model.A), rest_under_load(loop)
     bend = np.zeros(loop.kept)
-    bend[:n] = (loop.network.period_s / parts) ** 2 / 8.0 * start_curvature(loop)
+    bend[:n] = (loop.network.period_s / parts) ** 2 / 8.0 * start_curvature(loop.model, loop.network.period_s)
     T, rows = _falling(M), step.rows
     sizes = float(np.linalg.norm(rows @ np.linalg.inv(T), axis=1).max())
     error = float(loop.model.C @ rest[:n])

@@ -34,7 +34,7 @@ _ROOM = 1e-3
 """Share of a gain: the possible difference of the host's filter, in scalars and from six digits."""
 
 
-class _Between(NamedTuple):
+class CovarianceRange(NamedTuple):
     """Covariances (N, 3, 3) between two, each for the filter and the bold one."""
 
     low: Array
@@ -42,27 +42,31 @@ class _Between(NamedTuple):
     bold_low: Array
     bold_high: Array
 
-    def put(self, rows: NDArray[np.intp], other: "_Between") -> None:
+    def put(self, rows: NDArray[np.intp], other: "CovarianceRange") -> None:
         """Put ``other`` in place of ``rows``."""
         for own, new in zip(self, other, strict=True):
             own[rows] = new
 
-    def part(self, rows: NDArray[np.intp]) -> "_Between":
+    def part(self, rows: NDArray[np.intp]) -> "CovarianceRange":
         """Return some of them."""
-        return _Between(*(own[rows] for own in self))
+        return CovarianceRange(*(own[rows] for own in self))
 
 
 class GainBoxes:
     """Gains of a filter that loses at most ``losses_max`` samples in a row."""
 
-    def __init__(self, kalman: KalmanModel, walks: Walks, losses_max: int) -> None:
+    def __init__(
+        self, kalman: KalmanModel, walks: Walks, losses_max: int, histories_max: int = _HISTORIES_MAX
+    ) -> None:
         self._kalman, self._walks, self._losses_max = kalman, walks, losses_max
+        self._histories_max = histories_max
         self._largest = self._largest_covariance()
-        self._outcomes = self._histories()
+        self.outcomes = self._histories()
+        """All possible covariances after a sample."""
 
     def corners(self, lost: int) -> list[Array]:
         """Return the corners of the box of all gains, each L (4,), after so many losses in a row."""
-        prior = self._prior(self._outcomes, lost)
+        prior = self._prior(self.outcomes, lost)
         low = np.concatenate([prior.low, prior.bold_low])
         high = np.concatenate([prior.high, prior.bold_high])
         middle, width = 0.5 * (low + high), high - low
@@ -80,15 +84,15 @@ class GainBoxes:
             ends.append((float(np.min(quotients)) - _ROOM, float(np.max(quotients)) + _ROOM))
         return [of_state(size * (axes.T @ np.array(corner))) for corner in itertools.product(*ends)]
 
-    def _histories(self) -> _Between:
+    def _histories(self) -> CovarianceRange:
         """Return all possible covariances after a sample."""
         letters = np.arange(2 * (self._losses_max + 1))
-        settled: list[_Between] = []
+        settled: list[CovarianceRange] = []
         count, open_ = 0, np.zeros((1, 0), dtype=int)
         for _ in range(_SAMPLES_MAX):
             outcomes = self._outcome(open_)
             widths = self._widths(outcomes)
-            room = max(0, _HISTORIES_MAX - count - len(open_)) // len(letters)
+            room = max(0, self._histories_max - count - len(open_)) // len(letters)
             split = np.argsort(-widths, kind="stable")[:room]
             split = split[widths[split] > _NARROW]
             kept = np.setdiff1d(np.arange(len(open_)), split)
@@ -99,23 +103,25 @@ class GainBoxes:
             if not len(open_):
                 break
         settled.append(self._outcome(open_))
-        return _Between(*map(np.concatenate, zip(*settled, strict=True)))
+        return CovarianceRange(*map(np.concatenate, zip(*settled, strict=True)))
 
-    def _outcome(self, histories: NDArray[np.int_]) -> _Between:
+    def _outcome(self, histories: NDArray[np.int_]) -> CovarianceRange:
         """Return the outcomes of (N, samples), the oldest first: twice the losses before a sample, and 1 if a
         step was seen."""
-        kalman, walks, count = self._kalman, self._walks, len(histories)
-        quiet, bold = kalman.settled(walks.quiet), kalman.settled(walks.bold)
+        quiet, bold = (self._kalman.settled(walk) for walk in (self._walks.quiet, self._walks.bold))
         starts = (quiet, self._largest, bold, self._largest)
-        boxes = _Between(*(np.repeat(start[None], count, axis=0) for start in starts))
+        begun = CovarianceRange(*(np.repeat(start[None], len(histories), axis=0) for start in starts))
+        return self._followed(begun, histories)
+
+    def _followed(self, boxes: CovarianceRange, histories: NDArray[np.int_]) -> CovarianceRange:
         for column in histories.T:
             for letter in np.unique(column):
                 rows = np.flatnonzero(column == letter)
                 prior = self._prior(boxes.part(rows), int(letter) // 2)
-                boxes.put(rows, self._corrected(prior, bool(letter % 2)))
+                boxes.put(rows, self.corrected(prior, bool(letter % 2)))
         return boxes
 
-    def _widths(self, outcomes: _Between) -> Array:
+    def _widths(self, outcomes: CovarianceRange) -> Array:
         """Return (N,): how much each leaves open of the next gain of the load, or of the speed, relative."""
         prior = self._prior(outcomes, 0)
         widths = np.zeros(len(prior.low))
@@ -124,16 +130,38 @@ class GainBoxes:
                 widths = np.maximum(widths, _reach(high - low, u) / np.abs(low @ READ @ u))
         return widths
 
-    def _prior(self, given: _Between, lost: int) -> _Between:
+    def _prior(self, given: CovarianceRange, lost: int) -> CovarianceRange:
         """Return the covariances before the sample that comes after so many losses."""
-        quiet, bold, periods = self._walks.quiet, self._walks.bold, lost + 1
+        return self.predicted(given, lost + 1)
+
+    def predicted(self, given: CovarianceRange, periods: int = 1) -> CovarianceRange:
+        """Return the covariances some periods later."""
+        quiet, bold = self._walks.quiet, self._walks.bold
         low, high, bold_low, bold_high = given
-        return _Between(
+        return CovarianceRange(
             self._predicted(low, quiet, periods),
             self._predicted(high, quiet, periods),
             self._predicted(bold_low, bold, periods),
             self._predicted(bold_high, bold, periods),
         )
+
+    def exact(self, histories: NDArray[np.int_]) -> CovarianceRange:
+        """Return the covariances after (N, samples), told as in :meth:`_outcome`, behind which all came."""
+        quiet, bold = (self._kalman.settled(walk) for walk in (self._walks.quiet, self._walks.bold))
+        begun = (np.repeat(P[None], len(histories), axis=0) for P in (quiet, quiet, bold, bold))
+        return self._followed(CovarianceRange(*begun), histories)
+
+    def intervals(self, low: Array, high: Array) -> tuple[Array, Array]:
+        """Return (N, 3) the least and the largest gain of each entry, of covariances between two."""
+        noise = self._kalman.R
+        middle, width = 0.5 * (low + high), high - low
+        along = np.diagonal(width, axis1=1, axis2=2) * (width @ READ @ READ)[:, None]
+        reach = 0.5 * np.sqrt(np.maximum(along, 0.0))
+        divisors = (low @ READ @ READ + noise)[:, None], (high @ READ @ READ + noise)[:, None]
+        about = middle @ READ
+        ends = np.array([(about + sign * reach) / each for sign in (-1.0, 1.0) for each in divisors])
+        room = _ROOM * np.abs(about / divisors[0])
+        return ends.min(axis=0) - room, ends.max(axis=0) + room
 
     def _predicted(self, P: Array, walk: float, periods: int) -> Array:
         """Return (..., 3, 3) some periods later."""
@@ -141,10 +169,10 @@ class GainBoxes:
             P = self._kalman.Phi @ P @ self._kalman.Phi.T + self._kalman.process(walk)
         return P
 
-    def _corrected(self, prior: _Between, taken: bool) -> _Between:
+    def corrected(self, prior: CovarianceRange, taken: bool) -> CovarianceRange:
         """Correct the covariances. ``taken``: a step was seen, and the bold covariance with it."""
         low, high, *bold = map(self._after, prior)
-        return _Between(*bold, *bold) if taken else _Between(low, high, *bold)
+        return CovarianceRange(*bold, *bold) if taken else CovarianceRange(low, high, *bold)
 
     def _after(self, P: Array) -> Array:
         read = P @ READ

@@ -69,10 +69,11 @@ class PredictorLoop(PlantLoop):
 
     def _closed(self, L: Array) -> Array:
         """Return the product of ``chain(L)``: it is linear in L."""
-        return np.asarray(self._uncorrected + np.outer(self._entered @ L, self._read))
+        return np.asarray(self._uncorrected + np.outer(self._entered @ L, self.read))
 
     @property
-    def _read(self) -> Array:
+    def read(self) -> Array:
+        """The (size,) row of xi that is the innovation of a sample."""
         read = np.zeros(self.size)
         read[FILTERED], read[_OBSERVER + FILTERED] = 1.0, -1.0
         return read
@@ -111,7 +112,7 @@ class PredictorLoop(PlantLoop):
 
     def _sampled(self, L: Array) -> Array:
         J = np.eye(self.size)
-        J[_OBSERVER:_BUFFER] += np.outer(L, self._read)
+        J[_OBSERVER:_BUFFER] += np.outer(L, self.read)
         state, commands = self._state_ahead, self._commands_ahead
         J[_BUFFER:] = 0.0
         J[_BUFFER] = -self.prediction.F @ state @ J[_OBSERVER:_BUFFER]

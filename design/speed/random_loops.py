@@ -67,7 +67,7 @@ class RandomHinf:
         return memory
 
     def chain(self, memory: int, outcome: Outcome) -> list[Operation]:  # noqa: ARG002
-        return _sent(self._lost if outcome.reading else self._came, outcome)
+        return sent(self._lost if outcome.reading else self._came, outcome)
 
 
 class RandomFused:
@@ -88,7 +88,7 @@ class RandomFused:
         return min(memory + 1, self._last) if outcome.reading else 0
 
     def chain(self, memory: int, outcome: Outcome) -> list[Operation]:
-        return _sent(self._lost if outcome.reading else self._came[memory], outcome)
+        return sent(self._lost if outcome.reading else self._came[memory], outcome)
 
 
 class _History(NamedTuple):
@@ -112,7 +112,7 @@ class RandomPredictor:
 
     def __init__(self, own: PredictorLoop, kalman: KalmanModel, walks: Walks, load_nm: float) -> None:
         self.loop, self.period_s = own, own.period_s
-        self._kalman, self._walks = kalman, walks
+        self.kalman, self.walks = kalman, walks
         filtering = AdaptiveFilter(kalman, walks)
         load_step(own.prediction, filtering, load_nm, _SETTLED)
         self._steps = filtering.steps_seen
@@ -129,12 +129,12 @@ class RandomPredictor:
         return _History(max(0, steps - 1), since, min(run, _BEFORE_MAX), 0)
 
     def chain(self, memory: _History, outcome: Outcome) -> list[Operation]:
-        return _sent(self._lost if outcome.reading else self._came(memory), outcome)
+        return sent(self._lost if outcome.reading else self._came(memory), outcome)
 
     @cache  # noqa: B019 - a loop lives as long as its analysis
     def _came(self, memory: _History) -> list[Operation]:
         """Return a period that begins with a reading."""
-        walks, kalman = self._walks, self._kalman
+        walks, kalman = self.walks, self.kalman
         steps, since, before, run = memory
         bold = steps > 0
         P = kalman.settled(walks.quiet if since == _FORGOTTEN and not bold else walks.bold)
@@ -148,11 +148,11 @@ class RandomPredictor:
 
     def _later(self, P: Array, walk: float, periods: int) -> Array:
         for _ in range(periods):
-            P = self._kalman.predicted(P, walk)
+            P = self.kalman.predicted(P, walk)
         return P
 
 
-def _sent(period: Sequence[Operation], outcome: Outcome) -> list[Operation]:
+def sent(period: Sequence[Operation], outcome: Outcome) -> list[Operation]:
     """Return a period without the jump of its command, if that is lost."""
     sampled, until, acting, *rest = period
     return [sampled, until, *rest] if outcome.command else [sampled, until, acting, *rest]

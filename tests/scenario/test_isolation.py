@@ -63,7 +63,7 @@ def test_other_entries_of_pythonpath_stay(folder: Path, monkeypatch: pytest.Monk
     assert python_environment(A="b")["A"] == "b"
 
 
-def test_the_logger_imports_nothing_of_the_users_folder(folder: Path, tmp_path: Path) -> None:
+def test_the_logger_imports_nothing_of_the_users_folder_and_not_pandas(folder: Path, tmp_path: Path) -> None:
     text = EXAMPLE.read_text().replace("duration_s = 2.0", "duration_s = 0.02").split("[[reference", 1)[0]
     bench = tmp_path / "short.toml"
     bench.write_text(text.replace('"motors/', f'"{EXAMPLE.parent}/motors/').split("[faults]", 1)[0])
@@ -77,8 +77,11 @@ def test_the_logger_imports_nothing_of_the_users_folder(folder: Path, tmp_path: 
         "--record",
         str(tmp_path / "run"),
     ]
-    found = said_in(folder, command)
+    found = said_in(folder, command, PYTHONPROFILEIMPORTTIME="1")
     assert found.returncode in (0, 1), found.stderr
+    imported = (tmp_path / "run" / "logger.log").read_text()
+    assert " rerun" in imported
+    assert " pandas." not in imported
     assert (tmp_path / "run" / "summary.json").stat().st_size
     assert not (folder / EXECUTED).exists()
 

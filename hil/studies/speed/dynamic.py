@@ -2,14 +2,18 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from servobench.design.delay.lmi import SOLVER
+from servobench.design.errors import NoSolution
 from servobench.design.motor import PmsmParameters
 from servobench.design.sampled.analysis import SampledAnalysis
+from servobench.design.sampled.loss_peak import losses_peak
+from servobench.design.sampled.peak_steps import PeakBound
 from servobench.design.speed.fused_design import FusedDesign
 from servobench.design.speed.hinf_design import HinfDesign, design_hinf, hinf_robustness, uncertainty_norm
 from servobench.design.speed.loop_robustness import LoopRobustness
@@ -26,8 +30,11 @@ from servobench.design.speed.predictor_design import (
     losses_gain,
     predictor_robustness,
 )
+from servobench.design.speed.predictor_loop import PredictorLoop
+from servobench.design.speed.predictor_peaks import predictor_peak
 from servobench.design.speed.predictor_plant import encoder_noise_rad_s
 from servobench.design.speed.predictor_trial import Walks
+from servobench.design.speed.random_loops import RandomHinf
 from servobench.drivers.timebase import US_PER_S
 from servobench.hil.configuration.config_files import Section
 from servobench.hil.configuration.controller_files import (
@@ -86,14 +93,18 @@ def certified_of(attempts: Sequence[SampledAnalysis]) -> SampledAnalysis | None:
     return attempts[-1] if attempts and attempts[-1].certified else None
 
 
-def loss_figures(attempts: Sequence[SampledAnalysis]) -> dict[str, Any]:
-    """Return figures for JSON."""
+def loss_figures(attempts: Sequence[SampledAnalysis], load_nm: float) -> dict[str, Any]:
+    """Return figures for JSON; peaks after a load step of ``load_nm``."""
     certified = certified_of(attempts)
     missed = {
         f"{each.network.losses_max}_in_a_row": each.without_certificate
         for each in attempts
         if not each.certified
     }
+
+    def scaled(peak: float | None) -> float | None:
+        return None if peak is None else finite(load_nm * peak)
+
     figures: dict[str, Any] = {"covers": _COVERS} | ({"not_certified": missed} if missed else {})
     if certified is None:
         return figures | {"losses_in_a_row": None}
@@ -103,6 +114,8 @@ def loss_figures(attempts: Sequence[SampledAnalysis]) -> dict[str, Any]:
         "gain_found": certified.gain_found,
         "decay_certified_per_s": certified.decay_certified_per_s,
         "decay_found_per_s": certified.decay_found_per_s,
+        "peak_certified_rad_s": scaled(certified.peak_certified),
+        "peak_found_rad_s": scaled(certified.peak_found),
     }
 
 
@@ -124,7 +137,7 @@ class DynamicResult(ABC):
     structure: ClassVar[str]
     proved: ClassVar[dict[str, str]]
     """Meaning of ``gamma`` and other own figures, in words."""
-    of_peaks: ClassVar = "none: by trial"
+    of_peaks: ClassVar = "over lost samples; over the floor by trial"
     """What is known of peaks."""
 
     design: PredictorDesign | FusedDesign | HinfDesign
@@ -149,6 +162,11 @@ class DynamicResult(ABC):
         """Analyse every sequence with at most so many samples lost in a row. Raises NoSolution."""
 
     @abstractmethod
+    def peak(self, readings_max: int, commands_max: int) -> PeakBound:
+        """Return the largest error after a load step of 1 N m, with at most so many readings and commands
+        lost in a row. Raises NoSolution."""
+
+    @abstractmethod
     def premises(self) -> dict[str, Any]:
         """Return the keys of the certificate that the proof rests on, beyond those of the controller."""
 
@@ -158,7 +176,12 @@ class DynamicResult(ABC):
 
     def certified(self) -> Self:
         """Add the certificate over lost samples. Raises NoSolution."""
-        return replace(self, losses=with_losses(self.analysed, self.losses_max))
+        *others, last = with_losses(self.analysed, self.losses_max)
+        if last.certified:
+            with suppress(NoSolution):
+                peak = self.peak(last.network.losses_max, 0)
+                last = replace(last, peak_found=peak.reached, peak_certified=peak.certified)
+        return replace(self, losses=[*others, last])
 
     @property
     def figures(self) -> dict[str, Any]:
@@ -176,7 +199,11 @@ class DynamicResult(ABC):
             "load_nm": request.load_nm,
             "peak_floor_rad_s": request.floor_rad_s(),
             "gamma": finite(self.loop.gain),
-            "certificate": {**self.proved, "losses": loss_figures(self.losses), "peaks": self.of_peaks},
+            "certificate": {
+                **self.proved,
+                "losses": loss_figures(self.losses, request.load_nm),
+                "peaks": self.of_peaks,
+            },
             "robustness": {
                 **self.loop.peaks_over_floor,
                 **margin_figures(self.loop.margins),
@@ -264,6 +291,9 @@ class HinfResult(DynamicResult):
     def analysed(self, losses_max: int) -> SampledAnalysis:
         return hinf_losses(self.design, losses_max)
 
+    def peak(self, readings_max: int, commands_max: int) -> PeakBound:
+        return losses_peak(RandomHinf(self.design.loop()), readings_max, commands_max)
+
     def premises(self) -> dict[str, Any]:
         request = self.design.request
         return {
@@ -317,6 +347,11 @@ class PredictorResult(DynamicResult):
 
     def analysed(self, losses_max: int) -> SampledAnalysis:
         return predictor_losses(self.design, losses_max)
+
+    def peak(self, readings_max: int, commands_max: int) -> PeakBound:
+        made = self.design
+        loop = PredictorLoop(made.prediction)
+        return predictor_peak(loop, made.request.kalman, made.walks, readings_max, commands_max)
 
     def premises(self) -> dict[str, Any]:
         certified = certified_of(self.losses)

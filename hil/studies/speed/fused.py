@@ -6,6 +6,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from servobench.design.sampled.analysis import SampledAnalysis
+from servobench.design.sampled.loss_peak import losses_peak
+from servobench.design.sampled.peak_steps import PeakBound
 from servobench.design.speed.fused_design import (
     FusedDesign,
     FusedRequest,
@@ -15,6 +17,7 @@ from servobench.design.speed.fused_design import (
 )
 from servobench.design.speed.fused_filter import rounding
 from servobench.design.speed.predictor_design import PredictorRequest
+from servobench.design.speed.random_loops import RandomFused
 from servobench.drivers.timebase import US_PER_S
 from servobench.hil.configuration.controller_kinds import FusedController
 from servobench.hil.studies.numbers import short
@@ -37,7 +40,7 @@ class FusedResult(DynamicResult):
 
     structure: ClassVar = "fused"
     proved: ClassVar = {"gamma": "exact, of the sampled loop with every sample"}
-    of_peaks: ClassVar = "exact for the instants tried, without noise"
+    of_peaks: ClassVar = "over lost samples; over the floor exact for the instants tried, without noise"
 
     design: FusedDesign
 
@@ -53,6 +56,10 @@ class FusedResult(DynamicResult):
 
     def analysed(self, losses_max: int) -> SampledAnalysis:
         return fused_losses(self.design, losses_max)
+
+    def peak(self, readings_max: int, commands_max: int) -> PeakBound:
+        remembering = RandomFused(self.design.loop(), self.design.gains)
+        return losses_peak(remembering, readings_max, commands_max)
 
     def premises(self) -> dict[str, Any]:
         return {}

@@ -147,7 +147,7 @@ def test_single_losses_can_destabilise_hinf_at_4_ms_and_the_command_says_so() ->
     assert [each.network.losses_max for each in attempts] == [1, 0]
     assert attempts[0].refuted
     assert attempts[1].certified
-    told, written = loss_figures(attempts), loss_certificate(attempts)
+    told, written = loss_figures(attempts, 0.6), loss_certificate(attempts)
     assert told["losses_in_a_row"] == 0
     assert told["not_certified"] == {"1_in_a_row": "a pattern is known that destabilises it"}
     assert written is not None

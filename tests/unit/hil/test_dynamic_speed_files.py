@@ -10,6 +10,7 @@ import pytest
 from servobench.design.delay.lmi import SOLVER
 from servobench.design.sampled.analysis import SampledAnalysis
 from servobench.design.sampled.held_loop import SampledNetwork, Strategy
+from servobench.design.sampled.peak_steps import PeakBound
 from servobench.design.speed.hinf_design import HinfDesign
 from servobench.design.speed.loop_robustness import LoopRobustness
 from servobench.design.speed.predictor_design import PredictorDesign
@@ -75,7 +76,7 @@ def refuted(losses: int) -> SampledAnalysis:
 def test_losses_are_told_down_to_the_most_that_are_certified() -> None:
     attempts = [refuted(3), refuted(2), lossy(1)]
     assert certified_of(attempts) is attempts[2]
-    assert loss_figures(attempts) == {
+    assert loss_figures(attempts, 0.6) == {
         "covers": "samples lost, at the delay and with the plant of the design, every command arriving",
         "not_certified": {"3_in_a_row": "3 are too many", "2_in_a_row": "2 are too many"},
         "losses_in_a_row": 1,
@@ -83,6 +84,8 @@ def test_losses_are_told_down_to_the_most_that_are_certified() -> None:
         "gain_found": 100.0,
         "decay_certified_per_s": 3.0,
         "decay_found_per_s": 4.0,
+        "peak_certified_rad_s": 30.0,
+        "peak_found_rad_s": 24.0,
     }
     written = loss_certificate(attempts)
     assert written is not None
@@ -93,7 +96,7 @@ def test_losses_are_told_down_to_the_most_that_are_certified() -> None:
 def test_without_a_certificate_no_losses_are(attempts: list[SampledAnalysis]) -> None:
     assert certified_of(attempts) is None
     assert loss_certificate(attempts) is None
-    told = loss_figures(attempts)
+    told = loss_figures(attempts, 0.6)
     assert told["losses_in_a_row"] is None
     assert "gain_certified" not in told
     assert ("not_certified" in told) == bool(attempts)
@@ -130,8 +133,8 @@ def test_the_figures_of_a_predictor_are_whole() -> None:
         "gamma": 88.123456789,
         "certificate": {
             "gamma": "exact, of the sampled loop with constant gains and every sample",
-            "losses": loss_figures([lossy(1)]),
-            "peaks": "none: by trial",
+            "losses": loss_figures([lossy(1)], 0.6),
+            "peaks": "over lost samples; over the floor by trial",
         },
         "robustness": {
             **ROBUST.peaks_over_floor,
@@ -192,11 +195,15 @@ def test_losses_are_certified_from_the_most_down(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(
         dynamic, "predictor_losses", lambda _design, most: refuted(most) if most else lossy(0)
     )
+    monkeypatch.setattr(PredictorResult, "peak", lambda *_losses: PeakBound(60.0, 59.0))
     done = predicted().certified()
     assert [each.network.losses_max for each in done.losses] == [2, 1, 0]
     certificate = done.controller().certificate
     assert certificate is not None
     assert certificate.losses_in_a_row_max == 0
+    assert certificate.sequences is not None
+    assert certificate.sequences.step_peak_certified_rad_s == 60.0
+    assert certificate.sequences.step_peak_found_rad_s == 59.0
 
 
 def test_a_predictor_is_looked_at_with_the_digits_of_its_file(monkeypatch: pytest.MonkeyPatch) -> None:

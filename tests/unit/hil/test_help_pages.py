@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator
+from functools import cache
 
 import pytest
 import typer
@@ -16,26 +17,24 @@ _PAGE = re.compile(r"(?:see |full: |\(|; )hil docs ([a-z-]+)")
 _BRACKETS = re.compile(r"\[[^\[\]]+\]")
 
 
-def _pages() -> Iterator[tuple[str, ...]]:
-    """The words of each command and group."""
-
-    def below(command: object, words: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
-        yield words
-        for name, inner in getattr(command, "commands", {}).items():
-            yield from below(inner, (*words, name))
-
-    yield from below(typer.main.get_command(app), ())
+def _below(command: object, words: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], object]]:
+    yield words, command
+    for name, inner in getattr(command, "commands", {}).items():
+        yield from _below(inner, (*words, name))
 
 
-def _command(words: tuple[str, ...]) -> object:
-    command: object = typer.main.get_command(app)
-    for word in words:
-        command = command.commands[word]  # type: ignore[attr-defined]
-    return command
+COMMANDS = dict(_below(typer.main.get_command(app)))
+"""Each command and group by its words."""
+LEAVES = [words for words, command in COMMANDS.items() if not hasattr(command, "commands")]
+
+
+@cache
+def _page(words: tuple[str, ...], columns: int = 160) -> str:
+    return CliRunner().invoke(app, [*words, "--help"], env={"COLUMNS": str(columns)}).stdout
 
 
 def _examples(words: tuple[str, ...]) -> list[str]:
-    return re.findall(r"^ +(hil .*)$", getattr(_command(words), "help", None) or "", re.MULTILINE)
+    return re.findall(r"^ +(hil .*)$", getattr(COMMANDS[words], "help", None) or "", re.MULTILINE)
 
 
 def _flat(text: str) -> str:
@@ -43,36 +42,36 @@ def _flat(text: str) -> str:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("words", list(_pages()), ids=" ".join)
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
 def test_nothing_in_brackets_is_eaten_as_markup(words: tuple[str, ...]) -> None:
-    command = _command(words)
+    command = COMMANDS[words]
     texts = [getattr(command, "help", None) or ""]
     texts += [getattr(item, "help", None) or "" for item in getattr(command, "params", ())]
-    page = CliRunner().invoke(app, [*words, "--help"], env={"COLUMNS": "160"}).stdout
+    page = _page(words)
     assert page
     for text in texts:
         for part in _BRACKETS.findall(text.replace("\\[", "[")):
             assert _flat(part) in _flat(page), part
 
 
-@pytest.mark.parametrize("words", list(_pages()), ids=" ".join)
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
 def test_a_value_is_named_as_the_field_names_it_and_never_by_its_type(words: tuple[str, ...]) -> None:
-    page = CliRunner().invoke(app, [*words, "--help"], env={"COLUMNS": "160"}).stdout
+    page = _page(words)
     assert "--help" in page
     assert re.findall(r"<[a-z%][^ =]*( range)?>", page) == []
 
 
 def test_the_value_of_an_option_is_its_unit_its_choices_or_a_letter() -> None:
-    page = CliRunner().invoke(app, ["eds", "--help"], env={"COLUMNS": "160"}).stdout
+    page = _page(("eds",))
     shown = dict(re.findall(r"│ (--[a-z-]+) +(\S+)", page))
     assert shown["--node"] == "N"
     assert (shown["--period-us"], shown["--bitrate"]) == ("US", "BIT/S")
     assert shown["--mode"] == "cst|csv|csp|ip|vl|pt|pv|pp"
 
 
-@pytest.mark.parametrize("words", list(_pages()), ids=" ".join)
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
 def test_help_sends_nobody_to_a_file_of_the_checkout(words: tuple[str, ...]) -> None:
-    page = CliRunner().invoke(app, [*words, "--help"], env={"COLUMNS": "160"}).stdout
+    page = _page(words)
     assert "docs/" not in page
 
 
@@ -87,19 +86,16 @@ def test_every_page_that_a_text_of_the_product_names_is_there() -> None:
     assert {page for page in named if not (docs_folder() / f"{page}.md").exists()} == set()
 
 
-LEAVES = [words for words in _pages() if not hasattr(_command(words), "commands")]
-
-
 @pytest.mark.parametrize("words", LEAVES, ids=" ".join)
 def test_a_command_shows_itself_typed_each_in_a_line_of_a_narrow_terminal(words: tuple[str, ...]) -> None:
     examples = _examples(words)
     assert examples
-    page = CliRunner().invoke(app, [*words, "--help"], env={"COLUMNS": "80"}).stdout
+    page = _page(words, 80)
     assert [line for line in examples if line not in page] == []
     assert {line.split()[1] for line in examples} == {words[0]}
 
 
 @pytest.mark.parametrize("words", LEAVES, ids=" ".join)
 def test_a_paragraph_is_broken_by_the_terminal_alone(words: tuple[str, ...]) -> None:
-    told, _, _ = (getattr(_command(words), "help", None) or "").partition("\nExamples:")
+    told, _, _ = (getattr(COMMANDS[words], "help", None) or "").partition("\nExamples:")
     assert re.findall(r"\S\n\S", told.strip()) == []
