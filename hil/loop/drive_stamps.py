@@ -160,11 +160,12 @@ class DriveStamps:
         handed = list(self._handed)
         self._coarsen(step_of(evenly_spaced(handed, self._period) if self._heard_late else handed))
         residuals.learn(residuals_of(pairs), self.unmapped_ns)
-        self._may_hide = residuals.reach if residuals.spread else 0
+        tick_most = min(TICK_MOST, self._period // COARSEST_PARTS)
+        self._may_hide = min(residuals.reach, tick_most) if residuals.spread else 0
         if mark.handed_at != on_bus_at:  # a SYNC of our own, at a distance that was drawn
             self._changes.most = residuals.reach
         elif self.resolution <= STAMP_RESOLUTION and (residuals.spread or not self._shows_uneven(pairs)):
-            self._may_hide = max(self._may_hide, min(TICK_MOST, self._period // COARSEST_PARTS))
+            self._may_hide = tick_most
         if residuals.spread:
             self.clock.start_anew(pairs, residuals.variance_ns2(self.unmapped_ns))
 
