@@ -25,7 +25,7 @@ from servobench.drivers.compiled import notice, use_fresh
 from servobench.drivers.errors import BadInput
 from servobench.hil.machine.extras import MissingExtra, is_installed
 from servobench.hil.machine.parent_process import messages, tell_parent
-from servobench.hil.terminal import analyse_losses, analyse_speed, design_speed
+from servobench.hil.terminal import analyse_losses, analyse_peaks, analyse_speed, design_speed
 from servobench.hil.terminal.adapter import adapter
 from servobench.hil.terminal.campaign import campaign
 from servobench.hil.terminal.commands import (
@@ -87,7 +87,7 @@ add_commands(design, current, hinf, pid, design_speed.speed)
 analyse = typer.Typer(
     name="analyse", cls=PlainGroup, help="Analyse a loop: exact and certified figures.", no_args_is_help=True
 )
-add_commands(analyse, analyse_speed.speed, analyse_losses.losses)
+add_commands(analyse, analyse_speed.speed, analyse_losses.losses, analyse_peaks.peaks)
 
 
 def _show_version(asked: bool) -> None:

@@ -11,6 +11,9 @@ from servobench.hil.terminal.options import JsonOption, valued
 from servobench.hil.terminal.output import print_figures, put
 
 DESIGNED = ("state_feedback", "predictor", "fused", "hinf")
+LoadOption = Annotated[
+    float | None, valued("--load-nm", "T", "Load step; default: that of the design, or 1 N m.", min=1e-9)
+]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,10 +26,7 @@ class LossesOptions:
     network: Annotated[
         Path, valued("--network", "NETWORK.toml", "Network file with the losses, as hil measure writes it.")
     ]
-    load_nm: Annotated[
-        float | None,
-        valued("--load-nm", "T", "Load step; default: that of the design, or 1 N m.", min=1e-9),
-    ] = None
+    load_nm: LoadOption = None
     threshold_rad_s: Annotated[
         list[float] | None,
         valued("--threshold-rad-s", "W", "Speed error to exceed; may be repeated.", min=1e-9),

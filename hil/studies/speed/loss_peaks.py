@@ -1,0 +1,56 @@
+"""The analysis behind ``hil analyse peaks``: a controller's file where readings and commands are lost."""
+
+from pathlib import Path
+from typing import Any
+
+from servobench.design.errors import NoSolution
+from servobench.design.sampled.jump_loop import Remembering
+from servobench.design.sampled.loss_peak import losses_peak
+from servobench.design.sampled.peak_steps import PeakBound
+from servobench.design.speed.predictor_peaks import predictor_peak
+from servobench.design.speed.random_loops import RandomPredictor
+from servobench.hil.configuration.controller_kinds import StateFeedbackController
+from servobench.hil.studies.speed.random_losses import Designed, remembering_of
+
+
+def peaks_figures(
+    controller: Designed, path: Path, readings_max: int, commands_max: int, load_nm: float | None
+) -> dict[str, Any]:
+    """Return the largest error after a load step, certified and found, for each number of losses in a row.
+
+    ``load_nm``: None: that of the file's design, or 1 N m. Raises BadInput for a file that does not tell what
+    it was made for.
+    """
+    told = None if isinstance(controller, StateFeedbackController) else controller.figures
+    load_nm = load_nm or (1.0 if told is None else told.load_nm)
+    remembering = remembering_of(controller, path, load_nm)
+    return {
+        "controller": controller.kind,
+        "load_nm": load_nm,
+        "peaks": [
+            _bounded(remembering, readings, commands, load_nm)
+            for readings in range(readings_max + 1)
+            for commands in range(commands_max + 1)
+        ],
+    }
+
+
+def peak_of(remembering: Remembering, readings_max: int, commands_max: int) -> PeakBound:
+    """Return the largest error after a load step of 1 N m, with at most so many readings and commands lost in
+    a row. Raises NoSolution."""
+    if isinstance(remembering, RandomPredictor):
+        own = remembering
+        return predictor_peak(own.loop, own.kalman, own.walks, readings_max, commands_max)
+    return losses_peak(remembering, readings_max, commands_max)
+
+
+def _bounded(remembering: Remembering, readings: int, commands: int, load_nm: float) -> dict[str, Any]:
+    lost = {"readings_lost_in_a_row": readings, "commands_lost_in_a_row": commands}
+    try:
+        peak = peak_of(remembering, readings, commands)
+    except NoSolution as error:
+        return lost | {"not_certified": str(error)}
+    return lost | {
+        "peak_certified_rad_s": load_nm * peak.certified,
+        "peak_found_rad_s": load_nm * peak.reached,
+    }
