@@ -72,7 +72,7 @@ GROUPS = {
         *_below("virtual_bus/bus", "listener trial"),
     ],
     "device": [
-        *_below("virtual_bus/device", "application canopen_device device_clock heartbeat object_dictionary"),
+        *_below("virtual_bus/device", "application canopen_device heartbeat object_dictionary"),
         *_below("virtual_bus/device", "pdo_codec pdo_engine pdo_parameters rpdo station sync_consumer"),
         *_below("virtual_bus/device", "sync_task tpdo"),
         *_below("virtual_bus/drive", "actual_values axis cyclic_modes failures firmware homing"),

@@ -36,6 +36,23 @@ typedef struct SinkWay {
     bool (*take)(PyObject *self, const FrameObject *frame, bool sent, int64_t at);
 } SinkWay;
 
+enum { UNTOLD = -1 };
+
+/* `data`: octets, or NULL for none. */
+static inline FrameObject *make_frame(PyTypeObject *frame_type, int64_t can_id, PyObject *data)
+{
+    FrameObject *frame = (FrameObject *)PyType_GenericAlloc(frame_type, 0);
+    if (frame == NULL)
+        return NULL;
+    frame->can_id = can_id;
+    frame->handed_at = UNTOLD;
+    frame->data = data == NULL ? PyBytes_FromStringAndSize(NULL, 0) : another(data);
+    if (frame->data != NULL)
+        return frame;
+    Py_DecRef((PyObject *)frame);
+    return NULL;
+}
+
 /* The frame's type, with a reference as long as the process is there; NULL for an error. */
 static inline PyTypeObject *find_frame_type(void)
 {

@@ -17,6 +17,21 @@ static inline void forget(PyObject **place)
         Py_DecRef(object);
 }
 
+/* The places in which an object holds others; NULL at a place: nothing. */
+static inline int visit_each(PyObject **const *places, size_t count, visitproc visit, void *argument)
+{
+    int result = 0;
+    for (size_t which = 0; result == 0 && which < count; which++)
+        result = visit_one(*places[which], visit, argument);
+    return result;
+}
+
+static inline void forget_each(PyObject **const *places, size_t count)
+{
+    for (size_t which = 0; which < count; which++)
+        forget(places[which]);
+}
+
 static inline PyObject *another(PyObject *object)
 {
     Py_IncRef(object);

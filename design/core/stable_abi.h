@@ -110,8 +110,10 @@ extern PyObject *PyExc_RuntimeError;
 extern PyObject _Py_NoneStruct, _Py_NotImplementedStruct;
 #define Py_None (&_Py_NoneStruct)
 #define Py_NotImplemented (&_Py_NotImplementedStruct)
+#define Py_LT 0
 #define Py_EQ 2
 #define Py_NE 3
+#define Py_GT 4
 
 PyObject *PyModule_Create2(PyModuleDef *, int);
 int PyModule_AddObjectRef(PyObject *, const char *, PyObject *);
@@ -173,6 +175,7 @@ PyObject *PyCFunction_GetSelf(PyObject *);
 PyObject *PySequence_Tuple(PyObject *);
 Py_ssize_t PyObject_Size(PyObject *);
 PyObject *PyObject_GetAttr(PyObject *, PyObject *);
+int PyObject_SetAttr(PyObject *, PyObject *, PyObject *);
 /* Of the stable ABI from 3.12 on; 3.11 exports them with the same meaning. */
 PyObject *PyObject_Vectorcall(PyObject *, PyObject *const *, size_t, PyObject *);
 PyObject *PyObject_VectorcallMethod(PyObject *, PyObject *const *, size_t, PyObject *);

@@ -6,24 +6,7 @@
 
 PyTypeObject *frame_type;
 
-enum { UNTOLD = -1 };
-
 static FrameObject *frame_of(PyObject *self) { return (FrameObject *)self; }
-
-/* `data`: octets, or NULL for none. */
-FrameObject *make_frame(int64_t can_id, PyObject *data)
-{
-    FrameObject *frame = (FrameObject *)PyType_GenericAlloc(frame_type, 0);
-    if (frame == NULL)
-        return NULL;
-    frame->can_id = can_id;
-    frame->handed_at = UNTOLD;
-    frame->data = data == NULL ? PyBytes_FromStringAndSize(NULL, 0) : another(data);
-    if (frame->data != NULL)
-        return frame;
-    Py_DecRef((PyObject *)frame);
-    return NULL;
-}
 
 PyObject *call_data_frame(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
 {
@@ -32,7 +15,7 @@ PyObject *call_data_frame(PyObject *module, PyObject *const *arguments, Py_ssize
     if (!takes(count, 2, "data_frame") || !integer(arguments[0], &can_id)
         || !is_a(arguments[1], &PyBytes_Type, "octets"))
         return NULL;
-    return (PyObject *)make_frame(can_id, arguments[1]);
+    return (PyObject *)make_frame(frame_type, can_id, arguments[1]);
 }
 
 static PyObject *make(PyTypeObject *type, PyObject *arguments, PyObject *names)
@@ -45,7 +28,7 @@ static PyObject *make(PyTypeObject *type, PyObject *arguments, PyObject *names)
     if (!PyArg_ParseTupleAndKeywords(arguments, names, "L|SppL:WireFrame", fields, &can_id, &data, &extended, &remote,
                                      &remote_length))
         return NULL;
-    FrameObject *frame = make_frame(can_id, data);
+    FrameObject *frame = make_frame(frame_type, can_id, data);
     if (frame == NULL)
         return NULL;
     frame->extended = extended != 0;

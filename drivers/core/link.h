@@ -26,7 +26,6 @@ typedef struct LinkObject {
     bool last_own;
 } LinkObject;
 
-FrameObject *make_frame(int64_t can_id, PyObject *data);
 PyObject *call_named(const char *spelt, PyObject **name, PyObject **arguments, size_t count);
 int offer(LinkObject *self, FrameObject *frame, PyObject *at);
 PyObject *hand_over(LinkObject *self, FrameObject *frame);

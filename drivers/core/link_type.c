@@ -16,7 +16,7 @@ static PyObject *make(PyTypeObject *type, PyObject *arguments, PyObject *names)
     PyObject *self = PyType_GenericAlloc(type, 0);
     if (self == NULL)
         return NULL;
-    link_of(self)->last = make_frame(0, NULL);
+    link_of(self)->last = make_frame(frame_type, 0, NULL);
     if (link_of(self)->last == NULL)
         forget(&self);
     return self;
@@ -143,7 +143,7 @@ static PyObject *call_send(PyObject *self, PyObject *const *arguments, Py_ssize_
     if (!takes(count, 2, "send") || !is_used(link_of(self)) || !integer(arguments[0], &can_id)
         || !is_a(arguments[1], &PyBytes_Type, "octets"))
         return NULL;
-    FrameObject *frame = make_frame(can_id, arguments[1]);
+    FrameObject *frame = make_frame(frame_type, can_id, arguments[1]);
     PyObject *at = frame == NULL ? NULL : hand_over(link_of(self), frame);
     if (frame != NULL)
         Py_DecRef((PyObject *)frame);

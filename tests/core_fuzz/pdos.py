@@ -7,7 +7,7 @@ from typing import Any
 from servobench.drivers.canopen.data_types import BITS, DataType
 from servobench.virtual_bus.core.native import PdoCodec
 from servobench.virtual_bus.device.object_dictionary import Variable
-from servobench.virtual_bus.device.pdo_codec import Field, compile_packer, compile_unpacker
+from servobench.virtual_bus.device.pdo_codec import Field, compiled
 from tests.core_fuzz.fates import ODD, Refused
 
 
@@ -15,7 +15,7 @@ def pdos(draw: random.Random) -> None:
     """Mappings of up to 64 bits and beyond, whose variables refer back to their codec."""
     fields = [_field(draw) for _ in range(draw.randrange(9))]
     try:
-        pack, unpack = compile_packer(fields), compile_unpacker(fields)
+        codec = compiled(fields)
         PdoCodec([(None, draw.randrange(70), draw.randrange(-1, 5))], False)
     except ValueError:
         return
@@ -24,8 +24,8 @@ def pdos(draw: random.Random) -> None:
             if field.variable is not None:
                 field.variable.value = draw.choice([0, 1, True, draw.getrandbits(70) - (1 << 69), None, *ODD])
         try:
-            unpack(pack() + draw.randbytes(draw.randrange(9)))
-            unpack(draw.randbytes(draw.randrange(12)))
+            codec.unpack(codec.pack() + draw.randbytes(draw.randrange(9)))
+            codec.unpack(draw.randbytes(draw.randrange(12)))
         except (ValueError, TypeError, OverflowError, Refused):
             continue
 

@@ -28,6 +28,12 @@ from servobench.virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Listener
 from servobench.virtual_bus.bus.segment import CanSegment
 from servobench.virtual_bus.core.native import (
     BusLoad,
+    CyclicDevice,
+    CyclicDrive,
+    CyclicRpdo,
+    CyclicTpdo,
+    DeviceClock,
+    DeviceSeat,
     EntryBlock,
     Fates,
     HeldFrames,
@@ -41,7 +47,9 @@ from servobench.virtual_bus.core.native import (
     Segment,
     SimulatedClock,
     Strike,
+    SyncTaker,
     Timeline,
+    Timer,
     UniformNumbers,
     clipped,
     sine_cosine,
@@ -52,6 +60,7 @@ from servobench.virtual_bus.drive.encoder import Encoder, SineErrors, SpeedMetho
 from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
 from servobench.virtual_bus.drive.load_table import LoadTable
 from servobench.virtual_bus.frame import Frame
+from tests.core_fuzz.devices import devices
 from tests.core_fuzz.fates import ODD, Refused, drawn_judge, odd_number
 from tests.core_fuzz.links import links
 from tests.core_fuzz.pdos import pdos
@@ -76,6 +85,7 @@ ACTIONS: Final = 40
 CALLED: Final[tuple[Callable[..., Any], ...]] = (
     *(clipped, sine_cosine, user_position, wire_bits, native.random_runs, frame_row, RegularStream, Ring),
     *(BusLoad, HeldFrames, HostPlace, Port, Segment, SimulatedClock, Timeline, PdoCodec, UniformNumbers),
+    *(CyclicDevice, CyclicDrive, CyclicRpdo, CyclicTpdo, DeviceClock, DeviceSeat, SyncTaker, Timer),
     *(Strike, Hold, Queue, Route, EntryBlock, Fates, WireFrame, Link, Pump, FrameSink),
 )
 """Functions and types of the cores."""
@@ -366,4 +376,4 @@ def misuse(draw: random.Random) -> None:
             continue
 
 
-WORLDS: Final = (frames, drive, random_runs, misuse, bus, ring, streams, pdos, links)
+WORLDS: Final = (frames, drive, random_runs, misuse, bus, ring, streams, pdos, links, devices)

@@ -18,8 +18,8 @@ from servobench.drivers.canopen.nmt_states import NmtState
 from servobench.drivers.timebase import Instant
 from servobench.drivers.wire.frame_port import UNTOLD, FramePort
 from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.core.native import DeviceClock
 from servobench.virtual_bus.device.application import Application
-from servobench.virtual_bus.device.device_clock import DeviceClock
 from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from servobench.virtual_bus.frame import Frame
@@ -233,7 +233,7 @@ class DriveTap:
         """See :class:`servobench.virtual_bus.frame.Device`."""
         frames = self._drive.start(now)
         if self._starts_at_us is not None:
-            self._drive.clock.write(self._starts_at_us, now)
+            self._drive.clock.write(self._starts_at_us)
         return frames
 
     def wake(self, now: Instant) -> Sequence[Frame]:

@@ -12,7 +12,9 @@ typedef struct InnerLoopsObject {
     InnerLoops loops;
 } InnerLoopsObject;
 
-static InnerLoops *loops_of(PyObject *self) { return &((InnerLoopsObject *)self)->loops; }
+PyTypeObject *inner_loops_type;
+
+InnerLoops *loops_of(PyObject *self) { return &((InnerLoopsObject *)self)->loops; }
 
 static PyObject *make(PyTypeObject *type, PyObject *arguments, PyObject *names)
 {

@@ -1,6 +1,7 @@
 /* The module servobench.virtual_bus.core.native; native.pyi says what it holds. */
 #include "actual_values.h"
 #include "arguments.h"
+#include "device.h"
 #include "faults.h"
 #include "frames.h"
 #include "host_place.h"
@@ -108,7 +109,7 @@ typedef struct ShownType {
 } ShownType;
 
 static const ShownType shown_types[] = {
-    {&inner_loops_spec, "InnerLoops", NULL},
+    {&inner_loops_spec, "InnerLoops", &inner_loops_type},
     {&timeline_spec, "Timeline", &timeline_type},
     {&event_spec, "Event", &event_type},
     {&clock_spec, "SimulatedClock", NULL},
@@ -117,7 +118,15 @@ static const ShownType shown_types[] = {
     {&port_spec, "Port", &port_type},
     {&held_spec, "HeldFrames", &held_type},
     {&place_spec, "HostPlace", &place_type},
-    {&codec_spec, "PdoCodec", NULL},
+    {&codec_spec, "PdoCodec", &codec_type},
+    {&drive_spec, "CyclicDrive", &drive_type},
+    {&device_spec, "CyclicDevice", &device_type},
+    {&timer_spec, "Timer", &timer_type},
+    {&tpdo_spec, "CyclicTpdo", &tpdo_type},
+    {&rpdo_spec, "CyclicRpdo", &rpdo_type},
+    {&device_clock_spec, "DeviceClock", &device_clock_type},
+    {&sync_spec, "SyncTaker", &sync_type},
+    {&seat_spec, "DeviceSeat", &seat_type},
     {&numbers_spec, "UniformNumbers", &numbers_type},
     {&strike_spec, "Strike", &strike_type},
     {&hold_spec, "Hold", &hold_type},

@@ -457,11 +457,9 @@ class Port:
         """Queue ``frame``. Raises what ``refusal()`` of the class on top returns, if it is full, off or
         detached; ValueError for a frame that is none of classical CAN."""
 
-    def hear_only(
-        self, heard: dict[int, Any], hear: Callable[[Any, WireFrame, Instant], None] | None, /
-    ) -> None:
+    def hear_only(self, heard: dict[int, Any], seat: DeviceSeat | None, /) -> None:
         """Hand only those data frames to the listener whose identifier, of 11 bits, is in ``heard`` then; or
-        to ``hear``, with what is there."""
+        to the device of ``seat``, for the handlers that are there."""
 
     def take_head(self) -> WireFrame | None:
         """Error: ValueError while no error handling is in charge."""
@@ -653,6 +651,258 @@ class PdoCodec:
 
     def changed(self) -> bool:
         """Sample the variables; whether one differs from the last call, before the first from 0."""
+
+class CyclicDrive:
+    """A drive's inner loops carried along, and the statusword; see drive_type.c."""
+
+    def __new__(
+        cls,
+        loops: InnerLoops,
+        statusword: Variable,
+        run_mode: Callable[[Instant], bool],
+        stop_on: Callable[[], None],
+        tell_protection: Callable[[], None],
+        /,
+    ) -> Self: ...
+    base_status: int
+    """6041h but for bit 11, internal limit active, which the loops add."""
+    wake_at: Instant
+    """When it wants to be advanced without being asked."""
+    wake_ns: Duration
+    """So long after it was."""
+    tasked: bool
+    """A mode runs once per motion period, by ``run_mode``; that tells whether it is followed still."""
+    stopping: bool
+    """The shaft is being brought to rest: ``stop_on`` is called when it has turned on."""
+    protects: bool
+    """``tell_protection`` is called after each refresh."""
+    awaits_sync: bool
+    """The application is to hear of SYNCs."""
+    def advance(self, now: Instant, /) -> None:
+        """Bring loops, shaft and statusword to ``now``."""
+
+    def refresh(self) -> None:
+        """Write the statusword as of the last inner tick."""
+
+class CyclicDevice:
+    """What each cycle asks of a CANopen device; see device.c."""
+
+    def __new__(cls, application: Any, /) -> Self: ...
+    drive: CyclicDrive | None
+    """Advanced in the place of the application."""
+    now: Instant
+    """The instant of the last entry."""
+    booting: bool
+    """It hears and sends nothing until its boot-up message."""
+    mute: bool
+    """Nothing may be sent: the bit rate is being changed."""
+    operational: bool
+    """PDOs are alive."""
+    takes_syncs: bool
+    """PRE-OPERATIONAL or OPERATIONAL."""
+    @property
+    def due_at(self) -> Instant:
+        """The earliest timer of the device or wish of its application; now, if frames are waiting; NEVER."""
+
+    def carry(self, transmit: Sequence[CyclicTpdo], receive: Sequence[CyclicRpdo], /) -> None:
+        """Have these PDOs."""
+
+    def watch(self, tpdo: CyclicTpdo, /) -> None:
+        """Changes of what it maps are events from now on."""
+
+    def unwatch(self, tpdo: CyclicTpdo, /) -> None:
+        """Undo ``watch``."""
+
+    def hear(self, handlers: tuple[Any, ...], frame: WireFrame, now: Instant, /) -> Sequence[WireFrame]:
+        """A frame that ``handlers`` listen to; the frames to send."""
+
+    def wake(self, now: Instant, /) -> Sequence[WireFrame]:
+        """Advance, run the timers that are due, look for changes; the frames to send."""
+
+    def advance(self, now: Instant, /) -> None:
+        """Bring what is behind the device to ``now``."""
+
+    def sync(self, counter: int, /) -> None:
+        """Act on a SYNC; ``counter``: 0 without one."""
+
+    def open_window(self, is_open: bool, /) -> None:
+        """Synchronous window length, 1007h: outside of it synchronous RPDOs are discarded."""
+
+    def send(self, frame: WireFrame, /) -> None:
+        """Queue a frame to send."""
+
+    def take_frames(self) -> Sequence[WireFrame]:
+        """Look for changes; the frames to send, which are the caller's from now on."""
+
+    def forget_frames(self) -> None:
+        """Send none of those that wait."""
+
+class Timer:
+    """One deadline of a device."""
+
+    def __new__(cls, device: CyclicDevice, callback: Callable[[Instant], None], /) -> Self: ...
+    @property
+    def due(self) -> Instant:
+        """NEVER while it is stopped."""
+
+    def start(self, due: Instant, /) -> None:
+        """Have the callback called at ``due``; replaces an earlier deadline."""
+
+    def stop(self) -> None:
+        """Forget the deadline."""
+
+class CyclicTpdo:
+    """One TPDO's turn at a SYNC or a change; see tpdo_type.c."""
+
+    def __new__(
+        cls, device: CyclicDevice, on_event: Callable[[Instant], None], sample: PdoCodec, watch: PdoCodec, /
+    ) -> Self:
+        """``on_event``: a change of what ``watch`` has, unless the type is 0."""
+
+    can_id: int
+    type: int
+    """Transmission type."""
+    left: int
+    """SYNCs until it is sent, of type 1 to 240."""
+    start_at: int
+    """The counter of the SYNC at which it begins; 0: at any."""
+    follows_sync: bool
+    """A SYNC affects it."""
+    event: bool
+    """There is something to send: at the next SYNC, or when the inhibit time is over."""
+    runs: bool
+    """What it maps changes by time or motion, not only when the device does something."""
+    def map(self, sample: PdoCodec, watch: PdoCodec, /) -> None:
+        """What it maps, and those of it whose change is an event."""
+
+    def latch(self) -> None:
+        """Sample."""
+
+    def look(self) -> None:
+        """What it looks at counts as seen."""
+
+    def transmit(self) -> None:
+        """Sample and send."""
+
+    def send_latched(self) -> None:
+        """Send the last sample."""
+
+class CyclicRpdo:
+    """One RPDO's reception, a handler of frames; see rpdo_type.c."""
+
+    def __new__(
+        cls,
+        device: CyclicDevice,
+        judge_length: Callable[[int], None],
+        deadline: Timer,
+        deadline_met: Callable[[], None],
+        codec: PdoCodec,
+        /,
+    ) -> Self:
+        """``judge_length``: of a frame with another length, or behind one with another. ``deadline``: runs
+        from the last reception. ``deadline_met``: called at one after ``missed``."""
+
+    deadline_ns: Duration
+    """0: there is none."""
+    missed: bool
+    """The deadline has passed since the last reception."""
+    synchronous: bool
+    """It takes effect at the next SYNC."""
+    wrong_length: int
+    """The emergency in force, or 0."""
+    @property
+    def length(self) -> int:
+        """Octets that it maps."""
+
+    def map(self, codec: PdoCodec, /) -> None:
+        """What it maps."""
+
+    def forget_waiting(self) -> None:
+        """What waits for a SYNC does not take effect."""
+
+class DeviceClock:
+    """A device's own clock, and how 1013h tells of it; see device_clock_type.c."""
+
+    def __new__(
+        cls,
+        device: CyclicDevice,
+        offset_ns: int,
+        drift_ppb: int,
+        unit_ns: int,
+        resolution_ns: int,
+        bits: int,
+        late_ns: int,
+        runs: bool,
+        tick_after: Callable[[Instant], Instant] | None,
+        /,
+    ) -> Self:
+        """``offset_ns``: what it shows at power-on and after each reset. ``tick_after``: the next tick of the
+        inner loops, where stamps are latched at it."""
+
+    at_arrival: bool
+    """Stamps are latched when the SYNC comes."""
+    def start(self, now: Instant, /) -> None:
+        """Power-on or reset of the node: the counter begins anew; its oscillator runs as it did."""
+
+    def told(self) -> int:
+        """1013h, UNSIGNED32, as it is told at the device's instant."""
+
+    def write(self, stamp: int, /) -> None:
+        """1013h is written: what was latched last counts as ``stamp``."""
+
+    def local_ns(self, now: Instant, /) -> int:
+        """The clock's time at ``now``, ns, not wrapped."""
+
+    def step(self, step_ns: int, /) -> None:
+        """The clock jumps ahead by ``step_ns``, or back."""
+
+    def drift_more(self, drift_ppb: int, now: Instant, /) -> None:
+        """From ``now`` on the clock runs faster by ``drift_ppb`` than it did; it does not jump."""
+
+class SyncTaker:
+    """What a SYNC is checked for, and what it sets off; a handler of frames. See sync_type.c."""
+
+    def __new__(
+        cls,
+        device: CyclicDevice,
+        clock: DeviceClock,
+        judge_length: Callable[[int], None],
+        hold: Callable[[int, Instant], None] | None,
+        /,
+    ) -> Self:
+        """``judge_length``: as of an RPDO. ``hold``: takes counter and instant of a SYNC that is acted on
+        later."""
+
+    length: int
+    """1: with a counter (1019h); else 0."""
+    wrong_length: bool
+    open_window: Callable[[Instant], None] | None
+    """Called at each SYNC."""
+
+class DeviceSeat:
+    """A device's place on a segment in simulated time; see seat_type.c."""
+
+    def __new__(
+        cls,
+        device: CyclicDevice | None,
+        port: Port,
+        failure: type[Exception],
+        wake: Callable[[Instant], None],
+        /,
+    ) -> Self:
+        """``failure``: of a port that takes no frame. ``wake``: called by the timeline."""
+
+    scheduled: Instant
+    """The earliest call of ``wake`` to come."""
+    @property
+    def frames_lost(self) -> int:
+        """Frames that the port did not take."""
+
+    def send(self, frame: WireFrame, /) -> None:
+        """Queue a frame; one that the port does not take is lost."""
+
+    def wake_by(self, due: Instant, /) -> None:
+        """Have ``wake`` called by then."""
 
 class FrameJudge(Protocol):
     """See servobench.virtual_bus.bus.judge."""

@@ -2,17 +2,10 @@
 #include <assert.h>
 
 #include "attributes.h"
-#include "pdo_image.h"
+#include "pdo_codec.h"
 #include "types.h"
 
-typedef struct CodecObject {
-    PyObject head;
-    bool provided; /* a variable may have a provider, which is asked in place of its value */
-    int count, variable_count, bits;
-    ImageField fields[PDO_FIELDS_MAX];
-    PyObject *variables[PDO_FIELDS_MAX]; /* NULL: a gap */
-    uint64_t seen;                       /* image at the last look for a change */
-} CodecObject;
+PyTypeObject *codec_type;
 
 static CodecObject *codec_of(PyObject *self) { return (CodecObject *)self; }
 
@@ -118,11 +111,13 @@ static bool raw_of(PyObject *value, const ImageField *field, uint64_t *raw)
     return fits;
 }
 
-/* What a provider gives; a number of the drive's loops becomes no object. */
+/* What a provider gives; a number of the drive's loops or clock becomes no object. */
 static bool raw_given(PyObject *provider, const ImageField *field, uint64_t *raw)
 {
     int64_t told;
     int tells = field->kind == REAL ? 0 : tell_number(provider, &told);
+    if (tells == 0 && field->kind != REAL)
+        tells = tell_clock(provider, &told);
     if (tells)
         return tells > 0 && raw_whole(told, field, raw);
     PyObject *given = PyObject_Vectorcall(provider, NULL, 0, NULL);
@@ -150,7 +145,7 @@ static bool raw_now(bool provided, PyObject *variable, const ImageField *field, 
     return well;
 }
 
-static bool sample(CodecObject *self, uint64_t *image)
+bool sample_image(CodecObject *self, uint64_t *image)
 {
     uint64_t raw;
     *image = 0;
@@ -168,27 +163,39 @@ static bool sample(CodecObject *self, uint64_t *image)
     return true;
 }
 
+PyObject *pack_octets(CodecObject *self)
+{
+    uint64_t image;
+    unsigned char octets[8];
+    if (!sample_image(self, &image))
+        return NULL;
+    int count = image_octets(self->bits);
+    write_image(image, octets, count);
+    return PyBytes_FromStringAndSize((const char *)octets, count);
+}
+
 static PyObject *call_pack(PyObject *self, PyObject *none)
 {
     (void)none;
+    return pack_octets(codec_of(self));
+}
+
+/* Whether the image differs from that of the last call: 1, 0, or -1 for an error. */
+int look_at_image(CodecObject *self)
+{
     uint64_t image;
-    unsigned char octets[8];
-    if (!sample(codec_of(self), &image))
-        return NULL;
-    int count = image_octets(codec_of(self)->bits);
-    write_image(image, octets, count);
-    return PyBytes_FromStringAndSize((const char *)octets, count);
+    if (!sample_image(self, &image))
+        return -1;
+    bool changed = image != self->seen;
+    self->seen = image;
+    return changed;
 }
 
 static PyObject *call_changed(PyObject *self, PyObject *none)
 {
     (void)none;
-    uint64_t image;
-    if (!sample(codec_of(self), &image))
-        return NULL;
-    bool changed = image != codec_of(self)->seen;
-    codec_of(self)->seen = image;
-    return PyBool_FromLong(changed);
+    int changed = look_at_image(codec_of(self));
+    return changed < 0 ? NULL : PyBool_FromLong(changed);
 }
 
 static PyObject *value_from(uint64_t raw, const ImageField *field)
@@ -205,31 +212,46 @@ static PyObject *value_from(uint64_t raw, const ImageField *field)
     return PyLong_FromUnsignedLongLong(raw);
 }
 
+/* The values of the variables, with references, from at least image_octets(bits) octets; how many, or -1. */
+int unpack_values(const CodecObject *self, const unsigned char *octets, PyObject **values)
+{
+    uint64_t image = read_image(octets, image_octets(self->bits));
+    int filled = 0;
+    for (int place = 0; place < self->count; place++) {
+        const ImageField *field = &self->fields[place];
+        if (field->kind == GAP)
+            continue;
+        assert(filled < self->variable_count);
+        values[filled] = value_from(raw_field(image, field), field);
+        if (values[filled] == NULL) {
+            while (filled > 0)
+                Py_DecRef(values[--filled]);
+            return -1;
+        }
+        filled++;
+    }
+    return filled;
+}
+
 static PyObject *call_unpack(PyObject *self, PyObject *data)
 {
     const CodecObject *codec = codec_of(self);
+    PyObject *values[PDO_FIELDS_MAX];
     char *octets;
     Py_ssize_t length;
     if (PyBytes_AsStringAndSize(data, &octets, &length) < 0)
         return NULL;
-    int used = image_octets(codec->bits);
-    if (length < used)
-        return PyErr_Format(PyExc_ValueError, "%zd octets: at least %d expected", length, used);
-    uint64_t image = read_image((const unsigned char *)octets, used);
-    PyObject *values = PyTuple_New(codec->variable_count);
-    int filled = 0;
-    for (int place = 0; values != NULL && place < codec->count; place++) {
-        const ImageField *field = &codec->fields[place];
-        if (field->kind == GAP)
-            continue;
-        assert(filled < codec->variable_count);
-        PyObject *value = value_from(raw_field(image, field), field);
-        if (value == NULL)
-            forget(&values);
+    if (length < image_octets(codec->bits))
+        return PyErr_Format(PyExc_ValueError, "%zd octets: at least %d expected", length, image_octets(codec->bits));
+    int count = unpack_values(codec, (const unsigned char *)octets, values);
+    PyObject *tuple = count < 0 ? NULL : PyTuple_New(count);
+    for (int place = 0; place < count; place++) {
+        if (tuple == NULL)
+            Py_DecRef(values[place]);
         else
-            PyTuple_SetItem(values, filled++, value);
+            PyTuple_SetItem(tuple, place, values[place]);
     }
-    return values;
+    return tuple;
 }
 
 static PyMethodDef methods[] = {

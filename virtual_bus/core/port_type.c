@@ -2,6 +2,7 @@
 #include <stddef.h>
 
 #include "objects.h"
+#include "device.h"
 #include "segment.h"
 #include "types.h"
 
@@ -33,7 +34,7 @@ static int visit_port(PyObject *self, visitproc visit, void *argument)
 {
     PortObject *port = port_of(self);
     PyObject *held[] = {(PyObject *)self->type, (PyObject *)port->segment, port->name, port->listener,
-                        port->on_sent, port->heard, port->hear};
+                        port->on_sent, port->heard, (PyObject *)port->seat};
     for (size_t place = 0; place < sizeof held / sizeof *held; place++) {
         int result = visit_one(held[place], visit, argument);
         if (result)
@@ -59,7 +60,7 @@ static int clear_port(PyObject *self)
     forget(&port_of(self)->listener);
     forget(&port_of(self)->on_sent);
     forget(&port_of(self)->heard);
-    forget(&port_of(self)->hear);
+    forget((PyObject **)&port_of(self)->seat);
     return 0;
 }
 
@@ -144,12 +145,16 @@ static PyObject *get_room(PyObject *self, void *none)
 
 static PyObject *call_hear_only(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
 {
-    if (!takes(count, 2, "hear_only") || !is_a(arguments[0], &PyDict_Type, "a dictionary"))
+    if (!takes(count, 2, "hear_only") || !is_a(arguments[0], &PyDict_Type, "a dictionary")
+        || (arguments[1] != Py_None && !is_a(arguments[1], seat_type, "a DeviceSeat with a device, or None,")))
         return NULL;
+    SeatObject *seat = arguments[1] == Py_None ? NULL : (SeatObject *)arguments[1];
+    if (seat != NULL && seat->device == NULL)
+        return PyErr_Format(PyExc_ValueError, "hear_only: a DeviceSeat with a device, or None, expected");
     PortObject *port = port_of(self);
-    PyObject *before[] = {port->heard, port->hear};
+    PyObject *before[] = {port->heard, (PyObject *)port->seat};
     port->heard = another(arguments[0]);
-    port->hear = another(arguments[1]);
+    port->seat = seat == NULL ? NULL : (SeatObject *)another(arguments[1]);
     forget(&before[0]);
     forget(&before[1]);
     return nothing();

@@ -11,6 +11,7 @@
 
 #include <assert.h>
 
+#include "device.h"
 #include "host_place.h"
 #include "objects.h"
 #include "wire_bits.h"
@@ -198,11 +199,11 @@ static bool hand_if_heard(PortObject *port, Delivery *delivery)
     if (entry == NULL)
         return !PyErr_Occurred();
     bool well;
-    if (is_there(port->hear)) {
-        PyObject *hear = another(port->hear);
-        PyObject *arguments[] = {entry, delivery->frame->object, delivery->at};
-        well = went_well(PyObject_Vectorcall(hear, arguments, 3, NULL));
-        Py_DecRef(hear);
+    if (port->seat != NULL) {
+        PyObject *seat = another((PyObject *)port->seat);
+        well = is_a(entry, &PyTuple_Type, "a tuple of handlers")
+               && hear_at_seat(port->seat, entry, (FrameObject *)delivery->frame->object, delivery->now);
+        Py_DecRef(seat);
     } else {
         well = tell_listener(port->listener, delivery);
     }

@@ -33,7 +33,7 @@ typedef struct PortObject {
     SegmentObject *segment;
     PyObject *name, *listener, *on_sent;
     PyObject *heard; /* the data frames that its listener wants, a dictionary by identifier; None: every frame */
-    PyObject *hear;  /* takes these, and what the dictionary has for them; None: the listener does */
+    struct SeatObject *seat; /* takes these by what the dictionary has for them, handlers; NULL: the listener does */
     int64_t rank; /* of two ports that send the same at the same time the lower goes first */
     int room;     /* 0: bus-off, nothing is taken */
     int first, count;

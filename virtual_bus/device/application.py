@@ -25,6 +25,7 @@ from mypy_extensions import mypyc_attr
 from servobench.drivers.canopen.error_codes import ErrorRegister
 from servobench.drivers.canopen.nmt_states import NmtState
 from servobench.drivers.timebase import NEVER, Instant
+from servobench.virtual_bus.core.native import CyclicDrive
 from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
 
 
@@ -94,6 +95,9 @@ class Application:
 
     wake_at: Instant = NEVER
     """When the application wants to be advanced without being asked; NEVER: not at all."""
+    cycle: CyclicDrive | None = None
+    """Advanced, and asked when it wants to be, in the place of the application, which hears of SYNCs only if
+    it asks for them."""
 
     def attach(self, services: DeviceServices) -> None:
         """Add objects to ``services.dictionary`` and keep ``services``."""

@@ -17,9 +17,9 @@ from servobench.drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED, Nmt
 from servobench.drivers.canopen.objects301 import FIRST_OBJECT, Cia301
 from servobench.drivers.timebase import NEVER, NS_PER_MS, Instant
 from servobench.drivers.vendors.families import stamp_for
+from servobench.virtual_bus.core.native import CyclicDevice, DeviceClock
 from servobench.virtual_bus.device.application import Application, CommunicationLoss
 from servobench.virtual_bus.device.communication_objects import add_communication_objects
-from servobench.virtual_bus.device.device_clock import DeviceClock
 from servobench.virtual_bus.device.device_options import DeviceOptions
 from servobench.virtual_bus.device.emergency import EmergencyProducer
 from servobench.virtual_bus.device.heartbeat import HeartbeatConsumers, HeartbeatProducer, NodeGuarding
@@ -60,17 +60,29 @@ class CanopenDevice:
         options = options or DeviceOptions()
         self._station = station = Station(node_id, ObjectDictionary(), application)
         self._application = application
+        self._cycle = station.cycle
+        stamp = options.stamp
         self.clock = clock = DeviceClock(
-            options.clock_offset_ns, options.clock_drift_ppb, options.stamp, application.tick_after
+            station.cycle,
+            options.clock_offset_ns,
+            options.clock_drift_ppb,
+            stamp.unit_ns,
+            stamp.resolution_ns,
+            stamp.bits,
+            stamp.late_ns,
+            stamp.runs,
+            application.tick_after if stamp.latched == "tick" else None,
         )
+        clock.at_arrival = stamp.latched == "arrival"
         add_communication_objects(station.dictionary, options)
         application.attach(self)
+        station.cycle.drive = application.cycle
         if vendor is not None:
             vendor(station.dictionary)
         self._emergency = EmergencyProducer(station)
         self._nmt = NmtSlave(station, self._reset_node, self._reset_communication)
         self._pdos = PdoEngine(station, self._emergency)
-        self._sync = SyncConsumer(station, self._emergency, self._pdos, clock, options.sync)
+        self._sync = SyncConsumer(station, self._emergency, clock, options.sync)
         store = store or MemoryStore()
         self._storage = ParameterStorage(station.dictionary, store)
         self._lss = LssSlave(station, store, self._take_node_id)
@@ -82,16 +94,10 @@ class CanopenDevice:
             self._nmt.add_listener(part.on_state)
         self._boot_after_reset_ns = options.boot_after_reset_ms * NS_PER_MS
         self._slow_boot: Callable[[], int] = lambda: 0
-        self._booting = False
-        """It hears and sends nothing until its boot-up message."""
-        self._boot_timer = station.timers.create(self._boot_up)
+        self._boot_timer = station.timer(self._boot_up)
         makers = stamp_for(station.value(Cia301.IDENTITY, 1), station.value(Cia301.IDENTITY, 2), "")
         for index in {Cia301.HIGH_RESOLUTION_TIME_STAMP, makers.index}:
-            station.dictionary.hook(
-                index,
-                provider=lambda: clock.stamp(station.now),
-                on_write=lambda stamp: clock.write(stamp, station.now),
-            )
+            station.dictionary.hook(index, provider=clock.told, on_write=clock.write)
 
     @property
     def node_id(self) -> int:
@@ -107,6 +113,11 @@ class CanopenDevice:
     def now(self) -> Instant:
         """The instant of the last entry."""
         return self._station.now
+
+    @property
+    def cycle(self) -> CyclicDevice:
+        """What a segment hands its frames to."""
+        return self._cycle
 
     @property
     def application(self) -> Application:
@@ -150,14 +161,7 @@ class CanopenDevice:
     @property
     def due_at(self) -> Instant:
         """The earliest timer of the device or wish of its application; now, if frames are waiting; NEVER."""
-        station = self._station
-        if station.out and not station.mute:
-            return station.now
-        due = station.timers.next
-        if self._pdos.watching and self._pdos.look_at < due:
-            due = self._pdos.look_at
-        wish = self._application.wake_at
-        return wish if wish < due else due
+        return self._cycle.due_at
 
     @property
     def wake_at(self) -> Instant | None:
@@ -167,13 +171,13 @@ class CanopenDevice:
 
     def start(self, now: Instant) -> Sequence[Frame]:
         """Power on, for the first time or again: boot-up, PRE-OPERATIONAL."""
-        self._station.now = now
-        self._station.out.clear()
+        self._cycle.now = now
+        self._cycle.forget_frames()
         self._storage.power_on()
         self._lss.power_on()
         self._enter_reset(now)
         self._restart_communication(now, 0)
-        return self._take_frames()
+        return self._cycle.take_frames()
 
     def receive(self, frame: Frame, now: Instant) -> Sequence[Frame]:
         """A frame ended on the bus at ``now``; one that nobody listens to costs a dictionary look-up."""
@@ -181,52 +185,25 @@ class CanopenDevice:
         handlers = (station.remote_handlers if frame.remote else station.data_handlers).get(frame.can_id)
         if handlers is None or frame.extended:
             return _NOTHING
-        return self.hear(handlers, frame, now)
-
-    def hear(self, handlers: tuple[Handler, ...], frame: Frame, now: Instant) -> Sequence[Frame]:
-        """As :meth:`receive`, of a frame that ``handlers`` listen to."""
-        if self._booting:
-            return _NOTHING
-        self._station.now = now
-        self._application.advance(now)
-        for handler in handlers:
-            handler(frame, now)
-        return self._take_frames()
+        return self._cycle.hear(handlers, frame, now)
 
     def wake(self, now: Instant) -> Sequence[Frame]:
         """Bring the application to ``now``, then run the timers that are due."""
-        station = self._station
-        station.now = now
-        self._application.advance(now)
-        if station.timers.next <= now:
-            station.timers.run(now)
-        return self._take_frames()
+        return self._cycle.wake(now)
 
     def bus_off(self, now: Instant) -> None:
         """The host's controller went bus-off: 1029h acts; nothing can be sent (CiA 301, 7.5.2.32)."""
-        self._station.now = now
-        self._application.advance(now)
+        self._cycle.advance(now)
         self._application.on_communication_loss(CommunicationLoss.BUS_OFF, 0, now)
         self._nmt.on_communication_error(now)
-        self._station.out.clear()
+        self._cycle.forget_frames()
 
     def bus_recovered(self, now: Instant) -> Sequence[Frame]:
         """The controller is back on the bus: EMCY 8140h tells, and is over at once."""
-        self._station.now = now
-        self._application.advance(now)
+        self._cycle.advance(now)
         self._emergency.raise_error(RECOVERED_FROM_BUS_OFF, ErrorRegister.COMMUNICATION)
         self._emergency.clear_error(RECOVERED_FROM_BUS_OFF)
-        return self._take_frames()
-
-    def _take_frames(self) -> Sequence[Frame]:
-        station = self._station
-        if self._pdos.watching:
-            self._pdos.look()
-        frames = station.out
-        if not frames or station.mute:
-            return _NOTHING
-        station.out = []
-        return frames
+        return self._cycle.take_frames()
 
     def _reset_node(self, now: Instant) -> None:
         self._enter_reset(now)
@@ -257,14 +234,14 @@ class CanopenDevice:
             part.reset_communication()
         self._boot_timer.stop()
         takes_ns = max(takes_ns, self._slow_boot())
-        self._booting = self.node_id != UNCONFIGURED and takes_ns > 0
-        if self._booting:
+        self._cycle.booting = self.node_id != UNCONFIGURED and takes_ns > 0
+        if self._cycle.booting:
             self._boot_timer.start(Instant(now + takes_ns))
         else:
             self._boot_up(now)
 
     def _boot_up(self, now: Instant) -> None:
-        self._booting = False
+        self._cycle.booting = False
         self._heartbeat.reset_communication()
         if self.node_id != UNCONFIGURED:
             self._nmt.boot_up(now)

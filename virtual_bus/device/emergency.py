@@ -29,7 +29,7 @@ class EmergencyProducer:
         self._station = station
         self._active: dict[tuple[int, int], ErrorRegister] = {}
         self._queue: deque[bytes] = deque(maxlen=_QUEUE_MAX)
-        self._timer = station.timers.create(self._send_queued)
+        self._timer = station.timer(self._send_queued)
         self._free_at = Instant(0)
         self._history: deque[int] = deque()
         self._attach()
@@ -127,7 +127,7 @@ class EmergencyProducer:
             cob = station.value(Cia301.EMCY_COB_ID)
             message = self._queue.popleft()
             if cob and not cob & cob_ids.NOT_VALID:
-                station.out.append(Frame(cob & cob_ids.CAN_ID, message))
+                station.send(Frame(cob & cob_ids.CAN_ID, message))
                 self._free_at = Instant(now + inhibit_ns)
         if self._queue and station.state in _MAY_SEND:
             self._timer.start(self._free_at)

@@ -23,7 +23,7 @@ class HeartbeatProducer:
         self._station = station
         self._period_ns = 0
         self._due = Instant(0)
-        self._timer = station.timers.create(self._on_due)
+        self._timer = station.timer(self._on_due)
         station.dictionary.hook(Cia301.PRODUCER_HEARTBEAT_TIME, on_write=self._on_write)
 
     @property
@@ -61,7 +61,7 @@ class HeartbeatProducer:
 
     def _on_due(self, _now: Instant) -> None:
         station = self._station
-        station.out.append(Frame(ERROR_CONTROL + station.node_id, bytes([station.state])))
+        station.send(Frame(ERROR_CONTROL + station.node_id, bytes([station.state])))
         self._schedule(self._due)
 
 
@@ -77,7 +77,7 @@ class HeartbeatConsumer:
         self._variable = variable
         self._listening: int | None = None
         self._timeout_ns = 0
-        self._timer = station.timers.create(self._on_timeout)
+        self._timer = station.timer(self._on_timeout)
         variable.on_write = self._on_write
 
     @property
@@ -173,7 +173,7 @@ class NodeGuarding:
         self._heartbeat = heartbeat
         self._toggle = 0
         self._can_id: int | None = None
-        self._timer = station.timers.create(self._on_timeout)
+        self._timer = station.timer(self._on_timeout)
         for index in (Cia301.GUARD_TIME, Cia301.LIFE_TIME_FACTOR):
             station.dictionary.hook(index, on_write=self._on_write)
 
@@ -198,7 +198,7 @@ class NodeGuarding:
         if self._heartbeat.running or self._station.state is NmtState.INITIALISING:
             return
         station = self._station
-        station.out.append(Frame(ERROR_CONTROL + station.node_id, bytes([station.state | self._toggle])))
+        station.send(Frame(ERROR_CONTROL + station.node_id, bytes([station.state | self._toggle])))
         self._toggle ^= 0x80
         if self._life_time_ns:
             self._timer.start(Instant(now + self._life_time_ns))

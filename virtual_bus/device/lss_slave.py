@@ -75,7 +75,7 @@ class LssSlave:
         self._set_bit_rate: Callable[[int], None] = lambda _bit_rate: None
         """Sets the bit rate of the host's controller, if possible."""
         self._switch_delay_ns = 0
-        self._timer = station.timers.create(self._on_switch_delay)
+        self._timer = station.timer(self._on_switch_delay)
         self._selected = 0
         self._identified = 0
         self._scanned = 0
@@ -105,7 +105,7 @@ class LssSlave:
         self.configuring = False
         self._selected = self._identified = self._scanned = 0
         self._timer.stop()
-        self._station.mute = False
+        self._station.cycle.mute = False
         kept = self._store.load()
         stored = kept.get(NODE_ID_KEY)
         self.pending_node_id = stored[0] if stored else self._made_with
@@ -124,7 +124,7 @@ class LssSlave:
             service(frame.data, now)
 
     def _answer(self, command: int, data: bytes = b"") -> None:
-        self._station.out.append(Frame(LSS_ANSWER, (bytes([command]) + data).ljust(8, b"\x00")))
+        self._station.send(Frame(LSS_ANSWER, (bytes([command]) + data).ljust(8, b"\x00")))
 
     def _identity(self, part: int) -> int:
         """Vendor-ID, product code, revision number, serial number."""
@@ -220,13 +220,13 @@ class LssSlave:
     def _on_switch_delay(self, now: Instant) -> None:
         """The first of the two delays is over, or the second."""
         station = self._station
-        if station.mute:
-            station.mute = False
-            station.out.clear()  # what could not be sent meanwhile
+        if station.cycle.mute:
+            station.cycle.mute = False
+            station.cycle.forget_frames()  # what could not be sent meanwhile
             return
         assert self._pending_bit_rate is not None, "the timer was started with one"
         self._set_bit_rate(BIT_RATES[self._pending_bit_rate])
-        station.mute = True
+        station.cycle.mute = True
         self._timer.start(Instant(now + self._switch_delay_ns))
 
     def _save(self, _request: bytes, _now: Instant) -> None:

@@ -76,7 +76,7 @@ class NmtSlave:
 
     def boot_up(self, now: Instant) -> None:
         """INITIALISING is over: boot-up message, PRE-OPERATIONAL (CiA 301, 7.2.8.3.3)."""
-        self._station.out.append(Frame(ERROR_CONTROL + self._station.node_id, b"\x00"))
+        self._station.send(Frame(ERROR_CONTROL + self._station.node_id, b"\x00"))
         self.enter(NmtState.PRE_OPERATIONAL, now)
 
     def on_communication_error(self, now: Instant) -> None:

@@ -1,7 +1,7 @@
-"""PDO mappings compiled: from mapping words to a packer and an unpacker (core/pdo_image.c)."""
+"""PDO mappings compiled: from mapping words to octets and back (core/pdo_image.c)."""
 
-from collections.abc import Callable, Sequence
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Final
 
 from servobench.drivers.canopen.data_types import REAL_BITS, SIGNED_BITS
 from servobench.virtual_bus.core.native import GAP, REAL, SIGNED, UNSIGNED, PdoCodec
@@ -52,27 +52,8 @@ def resolve_all(dictionary: ObjectDictionary, words: Sequence[int], *, transmit:
     return fields
 
 
-def byte_length(fields: Sequence[Field]) -> int:
-    """Bytes of the PDO."""
-    return (sum(field.bits for field in fields) + 7) // 8
-
-
-def compile_packer(fields: Sequence[Field]) -> Callable[[], bytes]:
-    """A function that samples the variables of a TPDO into its bytes. ValueError: one is too large."""
-    return _codec(fields).pack
-
-
-def compile_watch(fields: Sequence[Field]) -> Callable[[], bool]:
-    """A function that says whether a variable has changed since its last call. ValueError as above."""
-    return _codec(fields).changed
-
-
-def compile_unpacker(fields: Sequence[Field]) -> Callable[[bytes], tuple[Any, ...]]:
-    """A function that takes an RPDO's bytes (at least its length) into one value for each variable."""
-    return _codec(fields).unpack
-
-
-def _codec(fields: Sequence[Field]) -> PdoCodec:
+def compiled(fields: Sequence[Field]) -> PdoCodec:
+    """What samples the fields' variables, looks for changes of them, and unpacks octets into values."""
     asked = any(field.variable is not None and field.variable.provider is not None for field in fields)
     return PdoCodec([(field.variable, field.bits, _kind(field.variable)) for field in fields], asked)
 

@@ -1,4 +1,4 @@
-"""All PDOs of a device: what a SYNC, a change of a value and a change of the NMT state do to them."""
+"""All PDOs of a device, and what a change of the NMT state does to them."""
 
 from typing import Final
 
@@ -9,15 +9,13 @@ from servobench.drivers.canopen.objects301 import (
     RPDO_COMMUNICATION,
     TPDO_COMMUNICATION,
 )
-from servobench.drivers.timebase import NEVER, NS_PER_MS, Instant
+from servobench.drivers.timebase import Instant
 from servobench.virtual_bus.device.emergency import EmergencyProducer
 from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
 from servobench.virtual_bus.device.rpdo import ReceivePdo
 from servobench.virtual_bus.device.station import Station
 from servobench.virtual_bus.device.tpdo import TransmitPdo
 
-LOOK_NS: Final = NS_PER_MS
-"""A mapped value that changes by time or motion is looked at no later than that after the last look."""
 _OPERATIONAL: Final = NmtState.OPERATIONAL
 
 
@@ -26,15 +24,9 @@ class PdoEngine:
 
     def __init__(self, station: Station, emergency: EmergencyProducer) -> None:
         dictionary = station.dictionary
-        self._station = station
         self.receive = [ReceivePdo(station, emergency, n) for n in _numbers(dictionary, RPDO_COMMUNICATION)]
-        self.watching: list[TransmitPdo] = []
-        """Those that are sent because of a change. What the device does costs nothing while it is empty."""
-        self.look_at: Instant = NEVER
-        """When to look for a change at the latest."""
-        self.transmit = [
-            TransmitPdo(station, self.watching, n) for n in _numbers(dictionary, TPDO_COMMUNICATION)
-        ]
+        self.transmit = [TransmitPdo(station, n) for n in _numbers(dictionary, TPDO_COMMUNICATION)]
+        station.cycle.carry([tpdo.turn for tpdo in self.transmit], [rpdo.reception for rpdo in self.receive])
 
     def reset_communication(self) -> None:
         """Take all parameters from the dictionary."""
@@ -54,32 +46,6 @@ class PdoEngine:
         if state is not _OPERATIONAL:
             for rpdo in self.receive:
                 rpdo.leave_operational()
-
-    def on_sync(self, counter: int) -> None:
-        """Send earlier changes first; then sample, then actuate."""
-        if self._station.state is not _OPERATIONAL:
-            return
-        if self.watching:
-            self.look()
-        for tpdo in self.transmit:
-            if tpdo.follows_sync:
-                tpdo.on_sync(counter)
-        for rpdo in self.receive:
-            if rpdo.waiting is not None:
-                rpdo.actuate()
-
-    def open_window(self, is_open: bool) -> None:
-        """Synchronous window length, 1007h: outside of it synchronous RPDOs are discarded."""
-        for rpdo in self.receive:
-            rpdo.window_open = is_open
-
-    def look(self) -> None:
-        """Something may have changed: those that watch see for themselves."""
-        runs = False
-        for tpdo in self.watching:
-            tpdo.look()
-            runs = runs or tpdo.runs
-        self.look_at = Instant(self._station.now + LOOK_NS) if runs else NEVER
 
 
 def _numbers(dictionary: ObjectDictionary, first: int) -> list[int]:

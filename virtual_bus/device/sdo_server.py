@@ -52,7 +52,7 @@ class SdoServer:
         self._transfer: Transfer | None = None
         self._request_id: int | None = None
         self._response_id = 0
-        self._timer = station.timers.create(self._on_timeout)
+        self._timer = station.timer(self._on_timeout)
 
     def reset_communication(self) -> None:
         """Take the COB-IDs from 1200h; a running transfer is gone."""
@@ -160,7 +160,7 @@ class SdoServer:
         return partial(self._station.dictionary.download, index, subindex)
 
     def _send(self, data: bytes) -> None:
-        self._station.out.append(Frame(self._response_id, data))
+        self._station.send(Frame(self._response_id, data))
 
     def _abort(self, code: AbortCode, request: bytes | None) -> None:
         if self._transfer is not None:

@@ -1,93 +1,54 @@
 """Shared services of the parts of one CANopen device: time, NMT state, timers, frames in and out."""
 
 from collections.abc import Callable
+from typing import Final
 
 from servobench.drivers.canopen.nmt_states import NmtState
-from servobench.drivers.timebase import NEVER, Instant
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.core.native import CyclicDevice, CyclicRpdo, SyncTaker, Timer
 from servobench.virtual_bus.device.application import Application
 from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
 from servobench.virtual_bus.frame import Frame
 
-Handler = Callable[[Frame, Instant], None]
-
-
-class Timer:
-    """One deadline of a device; ``due`` is NEVER while it is stopped."""
-
-    __slots__ = ("_timers", "callback", "due")
-
-    def __init__(self, timers: "Timers", callback: Callable[[Instant], None]) -> None:
-        self.callback = callback
-        self.due: Instant = NEVER
-        self._timers = timers
-
-    def start(self, due: Instant) -> None:
-        """Run the callback at ``due``; replaces an earlier deadline."""
-        timers = self._timers
-        was_next = self.due == timers.next
-        self.due = due
-        if due < timers.next:
-            timers.next = due
-        elif was_next:
-            timers.refresh()
-
-    def stop(self) -> None:
-        """Forget the deadline."""
-        if self.due != NEVER:
-            self.start(NEVER)
-
-
-class Timers:
-    """All timers of a device; a handful, so that the next one is found by looking at each."""
-
-    __slots__ = ("_timers", "next")
-
-    def __init__(self) -> None:
-        self._timers: list[Timer] = []
-        self.next: Instant = NEVER
-
-    def create(self, callback: Callable[[Instant], None]) -> Timer:
-        """A stopped timer."""
-        timer = Timer(self, callback)
-        self._timers.append(timer)
-        return timer
-
-    def refresh(self) -> None:
-        """Find the next deadline anew."""
-        self.next = NEVER
-        for timer in self._timers:
-            if timer.due < self.next:
-                self.next = timer.due
-
-    def run(self, now: Instant) -> None:
-        """Run what is due, the earliest first; a callback may restart its timer only after ``now``."""
-        while self.next <= now:
-            timer = self._timers[0]
-            for candidate in self._timers:
-                if candidate.due < timer.due:
-                    timer = candidate
-            timer.due = NEVER
-            self.refresh()
-            timer.callback(now)
+Handler = Callable[[Frame, Instant], None] | CyclicRpdo | SyncTaker
 
 
 class Station:
-    """The shared part of a device. ``now`` is set by the device at each entry."""
+    """The shared part of a device; what each cycle asks of it is in ``cycle`` (core/device.c)."""
 
     def __init__(self, node_id: int, dictionary: ObjectDictionary, application: Application) -> None:
         self.node_id = node_id
         self.dictionary = dictionary
         self.application = application
-        self.state = NmtState.INITIALISING
-        self.now = Instant(0)
-        self.timers = Timers()
-        self.mute = False
-        """Nothing may be sent: the bit rate is being changed."""
-        self.out: list[Frame] = []
-        """Frames to send, in order, taken over by the device when it returns to its host."""
+        self._state = NmtState.INITIALISING
+        self.cycle: Final = CyclicDevice(application)
         self.data_handlers: dict[int, tuple[Handler, ...]] = {}
         """By CAN-ID; several parts may listen to one CAN-ID."""
         self.remote_handlers: dict[int, tuple[Handler, ...]] = {}
+
+    @property
+    def state(self) -> NmtState:
+        """The present NMT state."""
+        return self._state
+
+    @state.setter
+    def state(self, state: NmtState) -> None:
+        self._state = state
+        self.cycle.operational = state is NmtState.OPERATIONAL
+        self.cycle.takes_syncs = state in (NmtState.OPERATIONAL, NmtState.PRE_OPERATIONAL)
+
+    @property
+    def now(self) -> Instant:
+        """The instant of the last entry."""
+        return self.cycle.now
+
+    def timer(self, callback: Callable[[Instant], None]) -> Timer:
+        """A stopped timer."""
+        return Timer(self.cycle, callback)
+
+    def send(self, frame: Frame) -> None:
+        """Queue a frame, which the device gives its host when it returns."""
+        self.cycle.send(frame)
 
     def listen(self, can_id: int, handler: Handler, *, remote: bool = False) -> None:
         """Call ``handler`` for each data (or remote) frame with this CAN-ID."""

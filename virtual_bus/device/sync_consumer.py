@@ -11,14 +11,12 @@ from servobench.drivers.canopen.error_codes import ErrorRegister
 from servobench.drivers.canopen.nmt_states import NmtState
 from servobench.drivers.canopen.objects301 import Cia301
 from servobench.drivers.timebase import NS_PER_US, Instant
-from servobench.virtual_bus.device.device_clock import DeviceClock
+from servobench.virtual_bus.core.native import DeviceClock, SyncTaker
 from servobench.virtual_bus.device.device_options import SyncOptions
 from servobench.virtual_bus.device.emergency import EmergencyProducer
-from servobench.virtual_bus.device.pdo_engine import PdoEngine
 from servobench.virtual_bus.device.sdo_abort import AbortCode
 from servobench.virtual_bus.device.station import Station
 from servobench.virtual_bus.device.sync_task import SyncTask
-from servobench.virtual_bus.frame import Frame
 
 SYNC_LENGTH: Final = 0x8240
 """EMCY: unexpected SYNC data length (CiA 301, table 26)."""
@@ -29,29 +27,27 @@ _PRE_OPERATIONAL: Final = NmtState.PRE_OPERATIONAL
 
 
 class SyncConsumer:
-    """Takes SYNCs in PRE-OPERATIONAL and OPERATIONAL and hands them to the PDOs and the application."""
+    """With what core/sync_type.c takes SYNCs in PRE-OPERATIONAL and OPERATIONAL, and hands them to the PDOs
+    and the application."""
 
     def __init__(
         self,
         station: Station,
         emergency: EmergencyProducer,
-        pdos: PdoEngine,
         clock: DeviceClock,
         options: SyncOptions,
     ) -> None:
         self._station = station
-        self._clock = clock
         self._task = None if options.at_once else SyncTask(options, f"SYNC {station.node_id}")
         self._held: deque[tuple[Instant, int]] = deque()
         """SYNCs that the task has not acted on: when it will, and their counters."""
-        self._holding = station.timers.create(self._on_due)
+        self._holding = station.timer(self._on_due)
         self._emergency = emergency
-        self._pdos = pdos
         self._listening: int | None = None
-        self._length = 0
+        hold = None if self._task is None else self._hold
+        self._taker: Final = SyncTaker(station.cycle, clock, self._judge_length, hold)
         self._window_ns = 0
-        self._window = station.timers.create(self._on_window_over)
-        self._wrong_length = False
+        self._window = station.timer(self._on_window_over)
         dictionary = station.dictionary
         dictionary.hook(Cia301.SYNC_COB_ID, check=self._check_cob_id, on_write=self._on_write)
         dictionary.hook(Cia301.SYNC_WINDOW, on_write=self._on_write)
@@ -62,7 +58,7 @@ class SyncConsumer:
 
     def reset_communication(self) -> None:
         """Take all parameters from the dictionary."""
-        self._wrong_length = False
+        self._taker.wrong_length = False
         self._held.clear()
         self._holding.stop()
         self._on_write(0)
@@ -70,14 +66,15 @@ class SyncConsumer:
     def _on_write(self, _value: int) -> None:
         station = self._station
         if self._listening is not None:
-            station.ignore(self._listening, self._on_sync)
+            station.ignore(self._listening, self._taker)
         self._listening = self._cob_id() & cob_ids.CAN_ID or None
-        self._length = 1 if station.value(Cia301.SYNC_COUNTER_OVERFLOW) else 0
+        self._taker.length = 1 if station.value(Cia301.SYNC_COUNTER_OVERFLOW) else 0
         self._window_ns = station.value(Cia301.SYNC_WINDOW) * NS_PER_US
+        self._taker.open_window = self._open_window if self._window_ns else None
         self._window.stop()
-        self._pdos.open_window(True)
+        station.cycle.open_window(True)
         if self._listening is not None:
-            station.listen(self._listening, self._on_sync)
+            station.listen(self._listening, self._taker)
 
     def _cob_id(self) -> int:
         """Return the COB-ID of 1005h; a vendor's data sheet may lack the object, and the drive uses 080h
@@ -87,49 +84,35 @@ class SyncConsumer:
         except KeyError:
             return 0
 
-    def _on_sync(self, frame: Frame, now: Instant) -> None:
-        station = self._station
-        if station.state is not _OPERATIONAL and station.state is not _PRE_OPERATIONAL:
-            return
-        data = frame.data
-        if len(data) != self._length or self._wrong_length:
-            self._judge_length(len(data))
-            if self._length and self._wrong_length:
-                return
-        counter = data[0] if self._length else 0
-        if self._window_ns:
-            self._pdos.open_window(True)
-            self._window.start(Instant(now + self._window_ns))
-        self._clock.sync_came(now)
-        if self._task is None:
-            self._act(counter, now)
-            return
-        period_ns = station.value(Cia301.CYCLE_PERIOD) * NS_PER_US
+    def _open_window(self, now: Instant) -> None:
+        self._station.cycle.open_window(True)
+        self._window.start(Instant(now + self._window_ns))
+
+    def _hold(self, counter: int, now: Instant) -> None:
+        assert self._task is not None
+        period_ns = self._station.value(Cia301.CYCLE_PERIOD) * NS_PER_US
         self._held.append((self._task.due(now, period_ns), counter))
         self._holding.start(self._held[0][0])
 
     def _on_due(self, now: Instant) -> None:
         while self._held and self._held[0][0] <= now:
-            self._act(self._held.popleft()[1], now)
+            self._station.cycle.sync(self._held.popleft()[1])
         if self._held:
             self._holding.start(self._held[0][0])
 
-    def _act(self, counter: int, now: Instant) -> None:
-        self._pdos.on_sync(counter)
-        self._station.application.on_sync(counter, now)
-
     def _on_window_over(self, _now: Instant) -> None:
-        self._pdos.open_window(False)
+        self._station.cycle.open_window(False)
 
     def _judge_length(self, length: int) -> None:
         """EMCY 8240h once, until a right one comes. A counter that is not expected (1019h = 0) is passed
         over; a SYNC without the one that is expected is not taken."""
-        wrong = length != self._length
-        if wrong and not self._wrong_length:
+        taker = self._taker
+        wrong = length != taker.length
+        if wrong and not taker.wrong_length:
             self._emergency.raise_error(SYNC_LENGTH, ErrorRegister.COMMUNICATION)
-        elif self._wrong_length and not wrong:
+        elif taker.wrong_length and not wrong:
             self._emergency.clear_error(SYNC_LENGTH)
-        self._wrong_length = wrong
+        taker.wrong_length = wrong
 
     def _check_cob_id(self, value: int) -> AbortCode | None:
         # 7.5.2.5, 7.5.2.15: 06090030h for bit 30, as it produces neither, and for bit 29 with 11 bits only.

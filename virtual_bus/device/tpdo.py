@@ -10,7 +10,7 @@ A remote request (allowed by bit 30 = 0 of the COB-ID) of the other types sends 
 synchronous PDO, or a fresh one of an event-driven PDO.
 
 The event of types 0, 254 and 255 is that a mapped object holds another value than at the last look. The
-device looks whenever it has done something (:class:`servobench.virtual_bus.device.pdo_engine.PdoEngine`).
+device looks whenever it has done something (core/device.c). What is done at a SYNC is in core/tpdo_type.c.
 1013h is no event: a clock that runs tells nothing.
 """
 
@@ -19,10 +19,10 @@ from typing import Final
 from servobench.drivers.canopen import cob_ids
 from servobench.drivers.canopen.nmt_states import NmtState
 from servobench.drivers.canopen.objects301 import TPDO_COMMUNICATION, TPDO_MAPPING, Cia301
-from servobench.drivers.core.native import data_frame
 from servobench.drivers.timebase import NS_PER_100_US, NS_PER_MS, Instant
+from servobench.virtual_bus.core.native import CyclicTpdo
 from servobench.virtual_bus.device.object_dictionary import Variable
-from servobench.virtual_bus.device.pdo_codec import compile_packer, compile_watch
+from servobench.virtual_bus.device.pdo_codec import compiled
 from servobench.virtual_bus.device.pdo_parameters import PdoParameters
 from servobench.virtual_bus.device.sdo_abort import AbortCode
 from servobench.virtual_bus.device.station import Station
@@ -40,34 +40,19 @@ class TransmitPdo(PdoParameters):
     reserved_types = range(241, 252)
     transmit = True
 
-    def __init__(self, station: Station, watching: "list[TransmitPdo]", number: int) -> None:
-        """``watching``: it is in there while changes of what it maps are events. ``number``: 1.. as in
-        TPDO1."""
+    def __init__(self, station: Station, number: int) -> None:
+        """``number``: 1.. as in TPDO1."""
         super().__init__(station, TPDO_COMMUNICATION + number - 1, TPDO_MAPPING + number - 1)
-        self._watching = watching
-        self._sample = compile_packer([])
-        self._frame = data_frame
-        self._can_id = 0
-        self._type = 0
+        self.turn: Final = CyclicTpdo(station.cycle, self._on_event, compiled([]), compiled([]))
         self._complete = False
         """It exists and maps something."""
         self._active = False
-        self.follows_sync = False
-        """True if a SYNC affects it; read at each SYNC, so a plain attribute."""
-        self._event = False
-        self._latched = b""
-        self._left = 0
-        self._start_at = 0
         self._inhibit_ns = 0
         self._event_ns = 0
         self._free_at = Instant(0)
         self._remote: int | None = None
-        self._changed = compile_watch([])
-        """Looks at what it maps; whether that has changed since the last look."""
-        self.runs = False
-        """What it maps changes by time or motion, not only when the device does something."""
-        self._inhibit_timer = station.timers.create(self._on_inhibit_over)
-        self._event_timer = station.timers.create(self._on_event_timer)
+        self._inhibit_timer = station.timer(self._on_inhibit_over)
+        self._event_timer = station.timer(self._on_event_timer)
         for subindex, check in ((3, self.refused_while_it_exists), (6, self._check_start)):
             index = TPDO_COMMUNICATION + number - 1
             station.dictionary.hook(index, subindex, check=check, on_write=self._on_write)
@@ -75,17 +60,18 @@ class TransmitPdo(PdoParameters):
     @property
     def _event_driven(self) -> bool:
         """Types 254 and 255."""
-        return self._type > REMOTE_EVENT
+        return self.turn.type > REMOTE_EVENT
 
     def configure(self) -> None:
         """Take over COB-ID, type, mapping and timers."""
-        fields = self.fields()
-        self._sample = compile_packer(fields)
+        fields, turn = self.fields(), self.turn
         watched = [field for field in fields if field.variable is not None and _tells(field.variable)]
-        self._changed = compile_watch(watched)
-        self.runs = any(field.variable is not None and field.variable.provider for field in watched)
-        self._can_id = self.can_id
-        self._type = self.parameter(2)
+        turn.map(compiled(fields), compiled(watched))
+        turn.runs = any(
+            field.variable is not None and field.variable.provider is not None for field in watched
+        )
+        turn.can_id = self.can_id
+        turn.type = self.parameter(2)
         self._inhibit_ns = self.parameter(3) * NS_PER_100_US
         self._event_ns = self.parameter(5) * NS_PER_MS
         self._listen_for_remote(self.exists and not self.parameter(1) & cob_ids.NO_RTR)
@@ -105,17 +91,17 @@ class TransmitPdo(PdoParameters):
         self._stop()
 
     def _begin(self, announce: bool) -> None:
-        now = self.station.now
+        now, turn = self.station.now, self.turn
         self._active = True
-        self.follows_sync = self._type <= REMOTE_SYNCHRONOUS
-        self._left = self._type
-        self._start_at = self.parameter(6) if self.station.value(Cia301.SYNC_COUNTER_OVERFLOW) else 0
-        self._latched = self._sample()
+        turn.follows_sync = turn.type <= REMOTE_SYNCHRONOUS
+        turn.left = turn.type
+        turn.start_at = self.parameter(6) if self.station.value(Cia301.SYNC_COUNTER_OVERFLOW) else 0
+        turn.latch()
         self._free_at = now
-        self._event = self._type == SYNCHRONOUS_ACYCLIC
-        if self._event or self._event_driven:
-            self._watching.append(self)
-            self._changed()
+        turn.event = turn.type == SYNCHRONOUS_ACYCLIC
+        if turn.event or self._event_driven:
+            self.station.cycle.watch(turn)
+            turn.look()
         if self._event_driven and announce:
             self._transmit_event(now)
         elif self._event_driven and self._event_ns:
@@ -123,86 +109,49 @@ class TransmitPdo(PdoParameters):
 
     def _stop(self) -> None:
         self._active = False
-        self.follows_sync = False
-        self._event = False
-        if self in self._watching:
-            self._watching.remove(self)
+        self.turn.follows_sync = self.turn.event = False
+        self.station.cycle.unwatch(self.turn)
         self._inhibit_timer.stop()
         self._event_timer.stop()
-
-    def on_sync(self, counter: int) -> None:
-        """A SYNC in OPERATIONAL; ``counter`` 0 without one."""
-        kind = self._type
-        if 0 < kind <= SYNCHRONOUS_CYCLIC_MAX:
-            if self._start_at:
-                # The SYNC with the start value is the first that counts, and the PDO goes out with it.
-                if counter != self._start_at:
-                    return
-                self._start_at = 0
-                self._left = 1
-            self._left -= 1
-            if not self._left:
-                self._left = kind
-                self._latched = data = self._sample()
-                self.station.out.append(self._frame(self._can_id, data))
-        elif kind == REMOTE_SYNCHRONOUS:
-            self._latched = self._sample()
-        elif self._event:
-            self._event = False
-            self._transmit()
-
-    def look(self) -> None:
-        """An event, if a mapped object has changed since the last look."""
-        if not self._changed():
-            return
-        if self._type == SYNCHRONOUS_ACYCLIC:
-            self._event = True
-        else:
-            self._on_event(self.station.now)
 
     def _on_event(self, now: Instant) -> None:
         if now >= self._free_at:
             self._transmit_event(now)
         else:
-            self._event = True
+            self.turn.event = True
             self._inhibit_timer.start(self._free_at)
 
     def _on_inhibit_over(self, now: Instant) -> None:
-        if self._event:
+        if self.turn.event:
             self._transmit_event(now)
 
     def _on_event_timer(self, now: Instant) -> None:
         self._on_event(now)
-        if self._event:
+        if self.turn.event:
             # Held back by the inhibit time: that transmission starts the timer again.
             self._event_timer.stop()
 
     def _transmit_event(self, now: Instant) -> None:
-        self._event = False
+        self.turn.event = False
         self._free_at = Instant(now + self._inhibit_ns)
         if self._event_ns:
             self._event_timer.start(Instant(now + self._event_ns))
-        self._transmit()
-
-    def _transmit(self) -> None:
-        self._changed()
-        data = self._latched = self._sample()
-        self.station.out.append(self._frame(self._can_id, data))
+        self.turn.transmit()
 
     def _listen_for_remote(self, allowed: bool) -> None:
         if self._remote is not None:
             self.station.ignore(self._remote, self._on_remote, remote=True)
-        self._remote = self._can_id if allowed else None
+        self._remote = self.turn.can_id if allowed else None
         if self._remote is not None:
             self.station.listen(self._remote, self._on_remote, remote=True)
 
     def _on_remote(self, _frame: Frame, _now: Instant) -> None:
         if not self._active:
             return
-        if self._type <= REMOTE_SYNCHRONOUS:
-            self.station.out.append(Frame(self._can_id, self._latched))
+        if self.turn.type <= REMOTE_SYNCHRONOUS:
+            self.turn.send_latched()
         else:
-            self._transmit()
+            self.turn.transmit()
 
     def _check_start(self, value: int) -> AbortCode | None:
         if value > SYNCHRONOUS_CYCLIC_MAX:

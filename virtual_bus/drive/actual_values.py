@@ -20,10 +20,8 @@ class ActualValues:
 
     def __init__(self, firmware: Firmware, objects: ServoObjects, units: UserUnits) -> None:
         self._inner = inner = firmware.inner
-        self._is_limited = inner.is_limited
         self._units = units
         self._objects = objects
-        self._statusword = objects.statusword
         objects.position.provider = inner.position_told
         objects.velocity.provider = inner.velocity_told
         objects.torque.provider = inner.torque_told
@@ -35,10 +33,6 @@ class ActualValues:
         inner.counts_per_position = units.counts_per_position
         inner.velocity_per_rad_s = units.velocity_per_rad_s
         inner.torque_unit_nm = self._objects.torque_unit_nm
-
-    def refresh(self, status: int) -> None:
-        """``status``: the statusword but for what the inner loops add."""
-        self._statusword.value = status | INTERNAL_LIMIT_ACTIVE if self._is_limited() else status
 
 
 LOAD_NM: Final = 1e-3

@@ -23,7 +23,8 @@ from servobench.drivers.cia402.profile import (
     Status,
 )
 from servobench.drivers.rotation import RAD_S_PER_RPM
-from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.virtual_bus.core.native import CyclicDrive
 from servobench.virtual_bus.device.application import Application, CommunicationLoss, DeviceServices
 from servobench.virtual_bus.device.canopen_device import CanopenDevice
 from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
@@ -63,14 +64,10 @@ class ServoApplication(Application):
         self.motor = motor
         self.drive = drive
         self.firmware = Firmware(motor, drive)
-        self.wake_at = Instant(0)
         self._powered = False
         self._motion = MotorAction.OFF
         self._revision = -1
-        self._base_status = 0
         self._controlword = 0
-        self._protected = drive.protection is not None
-        self._wake_ns = _WAKE_NS if drive.protection is None else _WAKE_WHILE_STOPPING_NS
         self._deafen: Callable[[OperationMode], DeafMode] | None = None
         """Makes a mode one that follows no set-points, while that is so."""
         self._task: OperationMode | None = None
@@ -91,6 +88,12 @@ class ServoApplication(Application):
         self._modes: dict[int, OperationMode] = {int(mode): make(self.axis) for mode, make in MODES.items()}
         self._mode = self._modes[objects.mode.default]
         self._actual = ActualValues(self.firmware, objects, self.units)
+        inner = self.firmware.inner
+        self._cycle = self.cycle = cycle = CyclicDrive(
+            inner, objects.statusword, self._run_mode, self._stop_on, self._tell_protection
+        )
+        cycle.protects = self.drive.protection is not None
+        cycle.wake_ns = Duration(_WAKE_WHILE_STOPPING_NS if cycle.protects else _WAKE_NS)
         objects.controlword.on_write = self._on_controlword
         motion.data_record.on_write = lambda _value: self._mode.take_data_record()
         objects.mode.on_write = self._on_mode
@@ -104,7 +107,7 @@ class ServoApplication(Application):
             variable.on_write = lambda _value: self._take_limits()
         for variable in (objects.rated_torque, objects.rated_current):
             variable.check, variable.on_write = self.units.check_state, lambda _value: self._take_rating()
-        self.load = SimulatedLoad(self.firmware, objects, self.drive.load)
+        self.load = SimulatedLoad(self.firmware, objects, self.drive.load, cycle)
         for variable in (motion.position_min, motion.position_max, motion.home_offset):
             variable.on_write = lambda _value: self._take_guards()
         self.units.changed = self._actual.take_units
@@ -123,7 +126,7 @@ class ServoApplication(Application):
                 if not variable.default:  # left open by a vendor's dictionary; with 0 the drive cannot move
                     variable.default = default
                     variable.restore(self._services.node_id)
-        self.wake_at = Instant(now + self._wake_ns)
+        self._cycle.wake_at = Instant(now + self._cycle.wake_ns)
         self._failures.forget()
         self.hear_again()
         self.power.restart()
@@ -140,21 +143,13 @@ class ServoApplication(Application):
         self._refresh()
 
     def advance(self, now: Instant) -> None:
-        if self._task is not None and self._run_mode(now):
-            return
-        if not self.firmware.advance_to(now):
-            if self.wake_at <= now:
-                self.wake_at = Instant(now + _WAKE_WHILE_STOPPING_NS)
-            return
-        power = self.power
-        if power.stopping:
-            if self.firmware.rested_for_s() >= REST_S:
-                power.rested()
-                self._act()
-            self.wake_at = Instant(now + _WAKE_WHILE_STOPPING_NS)
-        else:
-            self.wake_at = Instant(now + self._wake_ns)
-        self._refresh()
+        self._cycle.advance(now)
+
+    def _stop_on(self) -> None:
+        """The shaft is being brought to rest, and has turned on."""
+        if self.firmware.rested_for_s() >= REST_S:
+            self.power.rested()
+            self._act()
 
     def _run_mode(self, now: Instant) -> bool:
         """Motion period by motion period, as long as the mode is followed; whether it is so at ``now``."""
@@ -166,7 +161,7 @@ class ServoApplication(Application):
             self._show_mode()
         if self._task is None:
             return False
-        self.wake_at = Instant(now + _WAKE_WHILE_STOPPING_NS)
+        self._cycle.wake_at = Instant(now + _WAKE_WHILE_STOPPING_NS)
         if inner.ticks != ticks:
             self._refresh()
         return True
@@ -175,13 +170,11 @@ class ServoApplication(Application):
         """Let the statusword follow the mode."""
         if self._motion is MotorAction.FOLLOW:
             status = _BASE_STATUS[self.power.state] | self._mode.status_bits()
-            self._base_status = status | INTERNAL_LIMIT_ACTIVE if self.axis.limited else status
+            self._cycle.base_status = status | INTERNAL_LIMIT_ACTIVE if self.axis.limited else status
 
     def _refresh(self) -> None:
         """The cyclic values as of the last inner tick."""
-        self._actual.refresh(self._base_status)
-        if self._protected:
-            self._tell_protection()
+        self._cycle.refresh()
 
     def _tell_protection(self) -> None:
         """A warning, and a trip, which has opened the power stage by itself."""
@@ -200,6 +193,7 @@ class ServoApplication(Application):
         if power.revision == self._revision:
             return
         self._revision = power.revision
+        self._cycle.stopping = power.stopping
         if power.motion is not self._motion:
             self._motion = power.motion
             self._move(power.motion)
@@ -213,14 +207,15 @@ class ServoApplication(Application):
             status &= ~Status.VOLTAGE_ENABLED
         if power.at_rest:
             status |= Status.TARGET_REACHED
-        self._base_status = status
+        self._cycle.base_status = status
         if power.stopping or self._task is not None:
-            self.wake_at = Instant(self._services.now + _WAKE_WHILE_STOPPING_NS)
+            self._cycle.wake_at = Instant(self._services.now + _WAKE_WHILE_STOPPING_NS)
 
     def _choose_task(self) -> None:
         mode = self._mode
         follows = self._motion is MotorAction.FOLLOW and (mode.periodic or self.axis.guarded)
         self._task = mode if follows else None
+        self._cycle.tasked = follows
 
     def _move(self, motion: MotorAction) -> None:
         if motion is MotorAction.OFF:

@@ -16,8 +16,8 @@ from servobench.virtual_bus.bus.controller import ErrorState
 from servobench.virtual_bus.bus.error_message import told_bus_off
 from servobench.virtual_bus.bus.listener import Listener
 from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.core.native import DeviceSeat
 from servobench.virtual_bus.device.canopen_device import CanopenDevice
-from servobench.virtual_bus.device.station import Handler
 from servobench.virtual_bus.frame import Device, Frame
 
 POLL_NS: Final = 50 * NS_PER_MS
@@ -36,35 +36,32 @@ def _tell_state(device: Device, off: bool, now: Instant) -> Sequence[Frame]:
 
 
 class AttachedDevice(Listener):
-    """A device on a segment, powered on when this is made, and woken by the segment's timeline.
-
-    Events are never taken back: one that comes too early, because the device has put its deadline
-    off, is entered again. That is cheaper than to move an event at every frame.
-    """
+    """A device on a segment, powered on when this is made, and woken by the segment's timeline; frames that a
+    CANopen device listens to are handed to it by core/seat_type.c."""
 
     def __init__(self, device: Device, segment: CanSegment, name: str = "device") -> None:
         self.device = device
-        self.frames_lost = 0
-        """Frames that did not fit into the port's transmit queue."""
         self._timeline = timeline = segment.timeline
-        self._scheduled: Instant = NEVER
-        self._wake = self._on_event
-        # Compiled, a class that is known is called directly: a call by the protocol costs ten times that.
-        self._canopen = device if isinstance(device, CanopenDevice) else None
+        self._cycle = device.cycle if isinstance(device, CanopenDevice) else None
         self.port = segment.attach(name, self)
         """Its place on the segment: to unplug, to take off the bus, to ask for error counters."""
-        self._queue = self.port.send
+        self._seat = DeviceSeat(self._cycle, self.port, can.CanOperationError, self._on_event)
         self.port.on_error_state = self._on_error_state
         self._off = False
         self._attached = True
         heard = getattr(device, "heard", None)
         if heard is not None:
-            self.port.hear_only(heard, None if self._canopen is None else self._hear)
+            self.port.hear_only(heard, None if self._cycle is None else self._seat)
         follow = getattr(device, "follow_bit_rate", None)
         if follow is not None:
             follow(self.port.set_bitrate)
         self._send(device.start(timeline.now))
         self._schedule()
+
+    @property
+    def frames_lost(self) -> int:
+        """Frames that did not fit into the port's transmit queue."""
+        return self._seat.frames_lost
 
     def detach(self) -> None:
         """Unplug the device: it neither hears nor acts any more."""
@@ -77,16 +74,7 @@ class AttachedDevice(Listener):
         self._schedule()
 
     def on_frame(self, frame: Frame, now: Instant) -> None:
-        self._act_on(self.device.receive(frame, now))
-
-    def _hear(self, handlers: tuple[Handler, ...], frame: Frame, now: Instant) -> None:
-        """A data frame that the device listens to."""
-        assert self._canopen is not None
-        self._act_on(self._canopen.hear(handlers, frame, now))
-
-    def _act_on(self, frames: Sequence[Frame]) -> None:
-        if frames:
-            self._send(frames)
+        self._send(self.device.receive(frame, now))
         self._schedule()
 
     def _on_error_state(self, state: ErrorState, now: Instant) -> None:
@@ -98,27 +86,21 @@ class AttachedDevice(Listener):
 
     def _send(self, frames: Sequence[Frame]) -> None:
         for frame in frames:
-            try:
-                self._queue(frame)
-            except can.CanOperationError:
-                self.frames_lost += 1
+            self._seat.send(frame)
 
     def _due(self) -> Instant:
-        if self._canopen is not None:
-            return self._canopen.due_at
+        if self._cycle is not None:
+            return self._cycle.due_at
         due = self.device.wake_at
         return NEVER if due is None else due
 
     def _schedule(self) -> None:
-        due = self._due()
-        if due < self._scheduled:
-            self._scheduled = due
-            self._timeline.post(due, self._wake)
+        self._seat.wake_by(self._due())
 
     def _on_event(self, now: Instant) -> None:
-        if now < self._scheduled or not self._attached:
+        if now < self._seat.scheduled or not self._attached:
             return
-        self._scheduled = NEVER
+        self._seat.scheduled = NEVER
         if self._due() <= now:
             self._send(self.device.wake(now))
             assert self._due() > now, "a device must not ask for a wake that has passed"

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from servobench.drivers.canopen.data_types import BITS, SIGNED_BITS, DataType
 from servobench.virtual_bus.core.native import SIGNED, PdoCodec
 from servobench.virtual_bus.device.object_dictionary import Variable
-from servobench.virtual_bus.device.pdo_codec import Field, compile_packer, compile_unpacker, compile_watch
+from servobench.virtual_bus.device.pdo_codec import Field, compiled
 
 WHOLE = (
     DataType.BOOLEAN,
@@ -52,17 +52,17 @@ def test_objects_lie_behind_one_another_the_first_lowest(values: Sequence[tuple[
     for data_type, value in values:
         image |= (value & (1 << BITS[data_type]) - 1) << shift
         shift += BITS[data_type]
-    data = compile_packer(fields)()
+    data = compiled(fields).pack()
     assert data == image.to_bytes((shift + 7) // 8, "little")
-    assert list(compile_unpacker(fields)(data)) == [value for _, value in values]
+    assert list(compiled(fields).unpack(data)) == [value for _, value in values]
 
 
 @given(st.floats(width=32), st.floats())
 def test_reals_are_as_in_struct(narrow: float, wide: float) -> None:
     for code, data_type, value in (("<f", DataType.REAL32, narrow), ("<d", DataType.REAL64, wide)):
         fields = mapped((data_type, value))
-        assert compile_packer(fields)() == struct.pack(code, value)
-        assert repr(compile_unpacker(fields)(struct.pack(code, value))[0]) == repr(value)
+        assert compiled(fields).pack() == struct.pack(code, value)
+        assert repr(compiled(fields).unpack(struct.pack(code, value))[0]) == repr(value)
 
 
 @pytest.mark.parametrize(
@@ -77,26 +77,26 @@ def test_reals_are_as_in_struct(narrow: float, wide: float) -> None:
 )
 def test_a_value_without_room_is_refused(data_type: DataType, value: float) -> None:
     with pytest.raises(ValueError, match="bits do not hold"):
-        compile_packer(mapped((data_type, value)))()
+        compiled(mapped((data_type, value))).pack()
 
 
 def test_a_provider_is_asked_in_place_of_the_value() -> None:
     fields = mapped((DataType.UNSIGNED8, 1), (DataType.UNSIGNED8, 2))
     assert fields[0].variable is not None
     fields[0].variable.provider = lambda: 7
-    assert compile_packer([Field(None, 8), *fields])() == bytes([0, 7, 2])
+    assert compiled([Field(None, 8), *fields]).pack() == bytes([0, 7, 2])
 
 
 def test_fewer_octets_and_more_than_64_bits_are_refused() -> None:
     with pytest.raises(ValueError, match="at least 2"):
-        compile_unpacker(mapped((DataType.INTEGER16, 0)))(b"\0")
+        compiled(mapped((DataType.INTEGER16, 0))).unpack(b"\0")
     with pytest.raises(ValueError, match="at most 64"):
         PdoCodec([(None, 64, SIGNED), (None, 1, SIGNED)], False)
 
 
 def test_a_watch_tells_each_change_once() -> None:
     fields = mapped((DataType.UNSIGNED16, 3), (DataType.INTEGER8, -1))
-    changed = compile_watch(fields)
+    changed = compiled(fields).changed
     second = fields[1].variable
     assert second is not None
     assert (changed(), changed()) == (True, False)
@@ -104,5 +104,5 @@ def test_a_watch_tells_each_change_once() -> None:
     assert (changed(), changed()) == (True, False)
     values = iter((5, 5, 6))
     second.provider = lambda: next(values)
-    watched = compile_watch(fields)
+    watched = compiled(fields).changed
     assert (watched(), watched(), watched()) == (True, False, True)
