@@ -1,6 +1,7 @@
 """The certificate as PDF, by matplotlib: tables of wrapped cells on A4, text that can be searched."""
 
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -139,10 +140,9 @@ def _put_feet(figures: Sequence[Figure], made: FiledCertificate) -> None:
 
 def _wrapped(text: str, width_pt: float, size: float = _SIZE_PT, weight: str = "normal") -> list[str]:
     """Lines of ``text`` that are at most so wide; a longer word is cut."""
-    font = FontProperties(size=size, weight=weight)
 
     def width(words: str) -> float:
-        return float(text_to_path.get_text_width_height_descent(words, font, ismath=False)[0])
+        return size * sum(_advance_em(letter, weight) for letter in words)
 
     lines, line = list[str](), ""
     for word in text.split():
@@ -156,6 +156,17 @@ def _wrapped(text: str, width_pt: float, size: float = _SIZE_PT, weight: str = "
             rest = rest[fits:]
         line = rest
     return [*lines, line]
+
+
+@cache
+def _advance_em(letter: str, weight: str) -> float:
+    """Return the advance of a letter in the font's size; kerning brings letters closer, never apart."""
+    font = FontProperties(size=100.0, weight=weight)
+    one, two = (
+        text_to_path.get_text_width_height_descent(words, font, ismath=False)[0]
+        for words in (f"|{letter}|", "||")
+    )
+    return float(one - two) / 100.0
 
 
 def _inner_pt() -> float:
