@@ -51,19 +51,13 @@ GROUPS = {
     ],
     "loop": [
         *_below("hil/control", "compensation controllers fused hinf load_filter motion positions predictor"),
-        *_below(
-            "hil/loop", "attribution axis axis_roles clock_map clock_question command_meter context decision"
-        ),
-        *_below(
-            "hil/loop", "delay loop order_attribution pace position_path safety samples scenario way_back"
-        ),
-        *_below("hil/loop", "drive_stamps followed_command kept_order lessons order_evidence order_memory"),
-        *_below(
-            "hil/loop",
-            "order_question period_doubt readback_tie residuals stamp_attribution syncs usual_delays",
-        ),
+        *_below("hil/loop", "attribution axis axis_roles clock_map clock_question command_meter context"),
+        *_below("hil/loop", "cycle_record decision delay drive_stamps followed_command kept_order lessons"),
+        *_below("hil/loop", "loop order_attribution order_evidence order_memory order_question pace"),
+        *_below("hil/loop", "period_doubt position_path readback_tie residuals safety samples scenario"),
+        *_below("hil/loop", "stamp_attribution syncs usual_delays way_back"),
         *_below("hil/recording", "row_writer"),
-        *_below("hil/rows", "records side_rows"),
+        *_below("hil/rows", "side_rows"),
     ],
     "bus": [
         *_below("virtual_bus", "frame"),

@@ -22,7 +22,7 @@ from servobench.hil.campaign.store import schema_of
 from servobench.hil.cli import app
 from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.configuration.motor_file import MotorFile
-from servobench.hil.rows.records import COLUMNS
+from servobench.hil.loop.cycle_record import COLUMNS
 from servobench.hil.rows.records_file import PHASE_COLUMN
 from servobench.hil.verdict.limits import LIMITED
 from servobench.virtual_bus.faults.register import TABLES

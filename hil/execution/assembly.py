@@ -20,10 +20,10 @@ from servobench.hil.control.own_code import source_of
 from servobench.hil.control.setup import Setup
 from servobench.hil.loop.axis import Axis, AxisParts
 from servobench.hil.loop.axis_roles import Compensator, Controller, LoadMachine
+from servobench.hil.loop.cycle_record import CycleRecord
 from servobench.hil.loop.loop import Actuation, LoopTiming
 from servobench.hil.loop.quantity_by_mode import QUANTITY_BY_MODE
 from servobench.hil.loop.safety import Limits, PositionLimits, SafetyGuard, SpeedLimits, TorqueLimits
-from servobench.hil.loop.samples import CycleRecord
 from servobench.hil.loop.scenario import Quantity, ReferenceProfile
 from servobench.hil.loop.syncs import SyncLog
 from servobench.virtual_bus.bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits

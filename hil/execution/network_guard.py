@@ -37,7 +37,8 @@ from servobench.hil.configuration.drive_current_loop import (
     slow_for_pid,
 )
 from servobench.hil.configuration.network_file import Network, commands_unknown, load_network
-from servobench.hil.loop.samples import CycleRecord, Sample
+from servobench.hil.loop.cycle_record import CycleRecord
+from servobench.hil.loop.samples import Sample
 from servobench.hil.rows.recording_plan import CertifiedPlan
 from servobench.virtual_bus.drive.encoder import SpeedMethod
 from servobench.virtual_bus.faults.fault_plan import FaultPlan

@@ -14,13 +14,14 @@ from servobench.hil.loop.axis_roles import Compensator, Controller, LoadMachine
 from servobench.hil.loop.clock_map import STAMP_RESOLUTION
 from servobench.hil.loop.command_meter import CommandMeter
 from servobench.hil.loop.context import Context
+from servobench.hil.loop.cycle_record import CycleRecord
 from servobench.hil.loop.decision import Decision, Tick
 from servobench.hil.loop.delay import DelayMeter, Fate
 from servobench.hil.loop.lessons import Lessons
 from servobench.hil.loop.order_attribution import OrderAttribution
 from servobench.hil.loop.readback_tie import ProvedChanges, ReadbackTie, Telling
 from servobench.hil.loop.safety import SafetyGuard
-from servobench.hil.loop.samples import CommandFate, CycleRecord, Dropout, DropoutCause, Sending, without_sync
+from servobench.hil.loop.samples import CommandFate, Dropout, DropoutCause, Sending, without_sync
 from servobench.hil.loop.scenario import Quantity, ReferenceProfile
 from servobench.hil.loop.stamp_attribution import REVOKED, StampAttribution
 from servobench.hil.loop.syncs import SyncLog, SyncMark
@@ -363,29 +364,27 @@ class Axis:
         if unsure or (by_others and self.meter.doubts(tick.sequence)):
             observation = replaced(observation, certain=False)
         self.uncertain += not observation.certain
-        self._record(
-            CycleRecord(
-                tick.sequence,
-                self._number,
-                tick.due_at,
-                tick.woke_at,
-                None if mark is None else mark.handed_at,
-                None if mark is None else mark.on_bus_at,
-                observation,
-                fate.delay,
-                decision.estimate,
-                decision.reference_rad_s,
-                decision.load_torque_nm,
-                decision.command,
-                sending,
-                clock.offset_ns if clock.ready else None,
-                clock.error_ns if clock.ready else None,
-                decision.compute_ns,
-                decision.channels,
-                decision.reference_rad,
-                decision.reference_nm,
-            )
-        )
+        record = CycleRecord()
+        record.sequence = tick.sequence
+        record.axis = self._number
+        record.due_at = tick.due_at
+        record.woke_at = tick.woke_at
+        record.sync_handed_at = None if mark is None else mark.handed_at
+        record.sync_on_bus_at = None if mark is None else mark.on_bus_at
+        record.observation = observation
+        record.delay = fate.delay
+        record.estimate = decision.estimate
+        record.reference_rad_s = decision.reference_rad_s
+        record.load_torque_nm = decision.load_torque_nm
+        record.command = decision.command
+        record.sending = sending
+        record.clock_offset_ns = clock.offset_ns if clock.ready else None
+        record.clock_error_ns = clock.error_ns if clock.ready else None
+        record.compute_ns = decision.compute_ns
+        record.channels = decision.channels
+        record.reference_rad = decision.reference_rad
+        record.reference_nm = decision.reference_nm
+        self._record(record)
 
     def _apply_load(self, torque_nm: float) -> None:
         """A shaft that bears a load over time by itself has no load machine that is told."""

@@ -1,14 +1,13 @@
 """The stages that one control cycle passes through; each has its own type."""
 
-from collections.abc import Sequence
 from enum import Enum
 from typing import Final
 
 from mypy_extensions import mypyc_attr
 
-from servobench.drivers.exchange import Command, Reading
+from servobench.drivers.exchange import Reading
 from servobench.drivers.record import Record
-from servobench.drivers.timebase import Duration, Instant
+from servobench.drivers.timebase import Instant
 
 
 class DropoutCause(Enum):
@@ -137,85 +136,3 @@ class Sending(Record):
         """The latest instant known at which it did not act yet; None unless it is known to act."""
         self.acts_by: Final = acts_by
         """The earliest instant known at which it acted."""
-
-
-@mypyc_attr(free_list_len=1)
-class CycleRecord(Record):
-    """Everything about one planned cycle of one axis: what came of its SYNC, and what was done in it."""
-
-    __match_args__ = (
-        "sequence",
-        "axis",
-        "due_at",
-        "woke_at",
-        "sync_handed_at",
-        "sync_on_bus_at",
-        "observation",
-        "delay",
-        "estimate",
-        "reference_rad_s",
-        "load_torque_nm",
-        "command",
-        "sending",
-        "clock_offset_ns",
-        "clock_error_ns",
-        "compute_ns",
-        "channels",
-        "reference_rad",
-        "reference_nm",
-    )
-    __slots__ = __match_args__
-
-    def __init__(
-        self,
-        sequence: int,
-        axis: int,
-        due_at: Instant,
-        woke_at: Instant | None,
-        sync_handed_at: Instant | None,
-        sync_on_bus_at: Instant | None,
-        observation: Observation,
-        delay: Duration | None,
-        estimate: StateEstimate | None,
-        reference_rad_s: float,
-        load_torque_nm: float,
-        command: Command | None,
-        sending: Sending | None,
-        clock_offset_ns: int | None,
-        clock_error_ns: int | None,
-        compute_ns: int | None = None,
-        channels: Sequence[float] = (),
-        reference_rad: float | None = None,
-        reference_nm: float | None = None,
-    ) -> None:
-        self.sequence: Final = sequence
-        """The cycle's number on the grid of ticks, from 1."""
-        self.axis: Final = axis
-        self.due_at: Final = due_at
-        self.woke_at: Final = woke_at
-        """None if the host was not there at all."""
-        self.sync_handed_at: Final = sync_handed_at
-        """None for a cycle without SYNC."""
-        self.sync_on_bus_at: Final = sync_on_bus_at
-        """None if it is not known to have come there."""
-        self.observation: Final = observation
-        """The fate of this cycle's own reading."""
-        self.delay: Final = delay
-        """Sampled to received, of this cycle's own reading; None for one that never came."""
-        self.estimate: Final = estimate
-        """None, like all that follows but reference and load, where nothing was decided."""
-        self.reference_rad_s: Final = reference_rad_s
-        self.load_torque_nm: Final = load_torque_nm
-        self.command: Final = command
-        self.sending: Final = sending
-        """None if the command was not sent."""
-        self.clock_offset_ns: Final = clock_offset_ns
-        """Host minus drive, by the map of the drive's clock; None for a drive without one."""
-        self.clock_error_ns: Final = clock_error_ns
-        self.compute_ns: Final = compute_ns
-        """What compensator and controller took, on the host's own clock also where time is simulated."""
-        self.channels: Final = channels
-        """What the controller told of its own, by its ``channels``."""
-        self.reference_rad: Final = reference_rad
-        """None but for a reference of a position, as the next is but for one of a torque."""
-        self.reference_nm: Final = reference_nm

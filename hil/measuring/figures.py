@@ -15,6 +15,7 @@ from servobench.hil.configuration.network_file import Certainty, ClockHealth, Lo
 from servobench.hil.configuration.toml_text import toml_text
 from servobench.hil.execution.assembly import shortest_transit
 from servobench.hil.loop.axis import Axis
+from servobench.hil.loop.cycle_record import COMMAND_FATES, NOTHING
 from servobench.hil.loop.samples import CommandFate
 from servobench.hil.measuring.loss_model import UNKNOWN, Losses, Outcomes, losses_of
 from servobench.hil.measuring.stages import Stage
@@ -22,7 +23,7 @@ from servobench.hil.measuring.stamp_probe import StampFigures
 from servobench.hil.measuring.subject import MeasureRequest
 from servobench.hil.reviewing.histogram import TimeHistogram
 from servobench.hil.reviewing.network_meter import NetworkMeter, delays_of, histogram_of
-from servobench.hil.rows.records import COMMAND_FATES, NOTHING, Rows
+from servobench.hil.rows.records import Rows
 
 Json = dict[str, Any]
 _APART: Final = 1000

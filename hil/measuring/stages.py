@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 
 from servobench.drivers.exchange import SentCommand
 from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.loop.cycle_record import CAUSES, COMMAND_FATES, FATE_SAMPLE, NOTHING
 from servobench.hil.loop.samples import CommandFate, DropoutCause
 from servobench.hil.measuring.loss_model import CAME, LOST, UNKNOWN, Outcomes
 from servobench.hil.measuring.probe import TimedDemandChange, on_its_way
 from servobench.hil.reviewing.histogram import TimeHistogram
 from servobench.hil.reviewing.network_meter import action_delays_ns, passed_over
-from servobench.hil.rows.records import CAUSES, COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
+from servobench.hil.rows.records import Rows
 
 NO_ECHO: Final = "no echo of own frames on this bus"
 NOT_ENABLED: Final = "the drive is disabled: --enable"

@@ -34,14 +34,14 @@ from servobench.hil.execution.segments import timing_without_bench
 from servobench.hil.loop.axis import Axis, AxisParts
 from servobench.hil.loop.axis_roles import Controller
 from servobench.hil.loop.context import Context, SetPoint, TorqueSetPoint
+from servobench.hil.loop.cycle_record import ROW, CycleRecord, row_of
 from servobench.hil.loop.loop import LoopTiming
 from servobench.hil.loop.safety import SafetyGuard, TorqueLimits
-from servobench.hil.loop.samples import CycleRecord
 from servobench.hil.loop.scenario import Quantity, ReferenceProfile
 from servobench.hil.loop.syncs import SyncLog
 from servobench.hil.measuring.probe import ProbedDrive
 from servobench.hil.measuring.stamp_probe import StampFigures, find_stamp
-from servobench.hil.rows.records import ROW, ROW_DTYPE, Rows, row_of
+from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.virtual_bus.hosting.injection import Faults
 
 HORIZON: Final = 50

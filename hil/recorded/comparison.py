@@ -19,9 +19,10 @@ from servobench.drivers.bounded_file import NamedBy
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_S
 from servobench.hil.configuration.config_files import Section, load_file
+from servobench.hil.loop.cycle_record import FATE_SAMPLE, NAMES
 from servobench.hil.recorded.recorded_run import RecordedRun, RunSignals
 from servobench.hil.reviewing.envelope import Largest, largest
-from servobench.hil.rows.records import DIGESTED, FATE_SAMPLE, NAMES, ROW_DTYPE, Rows
+from servobench.hil.rows.records import DIGESTED, ROW_DTYPE, Rows
 from servobench.hil.rows.seal import doubt
 from servobench.hil.verdict.summary_text import number
 

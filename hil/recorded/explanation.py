@@ -14,6 +14,7 @@ import numpy as np
 from servobench.drivers.errors import BadInput
 from servobench.drivers.printable import printable
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US
+from servobench.hil.loop.cycle_record import COLUMNS, COMMAND_FATES, FATE_SAMPLE, NOTHING
 from servobench.hil.recorded.judgement import Judged
 from servobench.hil.reviewing.trace.decoder import decode
 from servobench.hil.reviewing.trace.frame_columns import LogWindow
@@ -21,7 +22,7 @@ from servobench.hil.reviewing.trace.run_trace import RecordedBus
 from servobench.hil.reviewing.trace.trace_entry import TraceEntry
 from servobench.hil.rows.event_lines import read_events
 from servobench.hil.rows.injected_faults import ACTIVE, INJECTED_TRACK
-from servobench.hil.rows.records import COLUMNS, COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
+from servobench.hil.rows.records import Rows
 from servobench.hil.rows.records_file import read_some
 from servobench.hil.rows.run_files import EVENTS_FILE, RECORDS_FILE
 from servobench.hil.verdict.limits import metric_title

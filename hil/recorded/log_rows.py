@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import STATE_BITS, State, state_of
+from servobench.hil.loop.cycle_record import CAUSES, COLUMNS, FATE_SAMPLE, NOTHING
 from servobench.hil.loop.samples import DropoutCause
 from servobench.hil.reviewing.log_content import ObjectValues
 from servobench.hil.reviewing.log_cycles import CyclicPdo, SyncGrid, held_values, within_cycle
-from servobench.hil.rows.records import CAUSES, COLUMNS, FATE_SAMPLE, NOTHING, ROW_DTYPE, Rows
+from servobench.hil.rows.records import ROW_DTYPE, Rows
 
 _LOST, _LATE, _MISSED = (
     1 + CAUSES.index(cause) for cause in (DropoutCause.LOST, DropoutCause.LATE, DropoutCause.MISSED)

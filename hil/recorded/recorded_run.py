@@ -11,6 +11,7 @@ from servobench.hil.configuration.bench_file import load_bench
 from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.execution.network_guard import Certificates
 from servobench.hil.execution.recorded_bench import review_plan
+from servobench.hil.loop.cycle_record import FATE_SAMPLE
 from servobench.hil.loop.loop import planned_cycles
 from servobench.hil.recording.row_series import main_lines_of, position_lines_of
 from servobench.hil.recording.run_folder import read_summary
@@ -26,7 +27,7 @@ from servobench.hil.reviewing.gaps import Gaps
 from servobench.hil.reviewing.histogram import TimeHistogram
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.recording_plan import ReviewPlan
-from servobench.hil.rows.records import DIGESTED_TO_FORMAT_2, FATE_SAMPLE, Rows
+from servobench.hil.rows.records import DIGESTED_TO_FORMAT_2, Rows
 from servobench.hil.rows.records_file import read_metadata, read_records
 from servobench.hil.rows.run_files import (
     BENCH_FILE,

@@ -7,14 +7,14 @@ import numpy as np
 
 from servobench.drivers.timebase import Instant
 from servobench.drivers.wire.frame_port import FrameTap
-from servobench.hil.loop.samples import CycleRecord
+from servobench.hil.loop.cycle_record import ROW, CycleRecord, row_of
 from servobench.hil.recording.faults_file import BLOCK_DTYPE, FaultEntries
 from servobench.hil.recording.run_metadata import run_metadata
 from servobench.hil.recording.run_recorder import RunRecorder
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.injected_faults import InjectedFaults
 from servobench.hil.rows.recording_plan import RecordingPlan
-from servobench.hil.rows.records import ROW, ROW_DTYPE, Rows, row_of
+from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.hil.rows.run_zero import RunZero
 from servobench.hil.rows.set_points import SetPointTeller
 from servobench.hil.rows.side_rows import RunEvent, drives_of

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from servobench.drivers.rotation import RPM_PER_RAD_S
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US
+from servobench.hil.loop.cycle_record import COMMAND_FATES, FATE_SAMPLE, NOTHING
 from servobench.hil.loop.samples import CommandFate
-from servobench.hil.rows.records import COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
+from servobench.hil.rows.records import Rows
 
 _LOST = COMMAND_FATES.index(CommandFate.LOST)
 Line = tuple[str, NDArray[np.float64]]

@@ -3,16 +3,15 @@
 from servobench.drivers.timebase import Instant
 from servobench.drivers.wire.frame_port import FrameTap, WireFrame
 from servobench.hil.core.native import FrameSink
-from servobench.hil.loop.samples import CycleRecord
+from servobench.hil.loop.cycle_record import CycleRecord, row_of
 from servobench.hil.recording.ring import RingWriter
-from servobench.hil.rows.records import row_of
 
 
 class RowWriter(FrameTap):
     """The cyclic part of a recorder."""
 
     def __init__(self, rows: RingWriter, frames: RingWriter, keep_frames: bool, segment: int = 0) -> None:
-        """``rows`` of :data:`~servobench.hil.rows.records.ROW`, ``frames`` of FRAME; ``segment``: its
+        """``rows`` of :data:`~servobench.hil.loop.cycle_record.ROW`, ``frames`` of FRAME; ``segment``: its
         number."""
         self._push = rows.push
         self._sink = FrameSink(frames if keep_frames else None, segment)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from servobench.drivers.timebase import Instant
 from servobench.drivers.wire.frame_port import FrameTap
-from servobench.hil.loop.samples import CycleRecord
+from servobench.hil.loop.cycle_record import CycleRecord
 from servobench.hil.rows.side_rows import (
     BeginEvent,
     IdentityEvent,

@@ -16,6 +16,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Instant
+from servobench.hil.loop.cycle_record import COMMAND_FATES, FATE_MISSED, FATE_SAMPLE
 from servobench.hil.loop.samples import CommandFate
 from servobench.hil.recording.blueprint import EVENTS, HISTOGRAM, MARKS_MAX, SUMMARY, VERDICT, Whole, layout
 from servobench.hil.recording.lanes import (
@@ -51,7 +52,7 @@ from servobench.hil.reviewing.histogram import TimeHistogram, round_width
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.injected_faults import INJECTED_TRACK, QUIET
 from servobench.hil.rows.recording_plan import RecordingPlan
-from servobench.hil.rows.records import COMMAND_FATES, FATE_MISSED, FATE_SAMPLE, Rows
+from servobench.hil.rows.records import Rows
 from servobench.hil.rows.row_states import DriveStates, HostStates, LabelChange, LinkStates
 from servobench.hil.rows.run_files import RERUN_FILE
 from servobench.hil.rows.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent, drives_of

@@ -27,10 +27,11 @@ from numpy.typing import NDArray
 
 from servobench.drivers.cia402.profile import Status
 from servobench.drivers.timebase import NS_PER_US
+from servobench.hil.loop.cycle_record import FATE_SAMPLE, NOTHING
 from servobench.hil.reviewing.histogram import TimeHistogram
 from servobench.hil.reviewing.network_meter import ACTING, LOST, AxisNetworkMeter, action_delays_ns
 from servobench.hil.rows.recording_plan import AxisPlan, CertifiedPlan
-from servobench.hil.rows.records import FATE_SAMPLE, NOTHING, Rows
+from servobench.hil.rows.records import Rows
 
 _ROUNDING = 1e-9
 """A command at the limit is the limit but for rounding; no command in N m is set as finely."""

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_S
 from servobench.drivers.written_file import written
+from servobench.hil.loop.cycle_record import NOTHING, Column
 from servobench.hil.reviewing.export_format import ExportFormat
 from servobench.hil.reviewing.frames_export import OF_FRAMES, export_frames
 from servobench.hil.rows.frames_file import frames_schema
-from servobench.hil.rows.records import NOTHING, Column
 from servobench.hil.rows.records_file import (
     check_records,
     column_of,

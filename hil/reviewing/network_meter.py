@@ -13,9 +13,10 @@ from servobench.hil.configuration.network_file import (
     DelayHistogram,
     Network,
 )
+from servobench.hil.loop.cycle_record import CAUSES, COMMAND_FATES, FATE_SAMPLE, NOTHING
 from servobench.hil.loop.samples import CommandFate, DropoutCause
 from servobench.hil.reviewing.histogram import TimeHistogram, merged
-from servobench.hil.rows.records import CAUSES, COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
+from servobench.hil.rows.records import Rows
 from servobench.hil.verdict.summary import Summary
 
 _BARS = 100

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from servobench.drivers.timebase import NS_PER_US, Instant
+from servobench.hil.loop.cycle_record import CAUSES, NAMES, NOTHING
 from servobench.hil.reviewing.certificate_meter import CertificateMeter
 from servobench.hil.reviewing.envelope import Largest, largest
 from servobench.hil.reviewing.histogram import TimeHistogram, merged
@@ -14,7 +15,7 @@ from servobench.hil.reviewing.step_response import StepMeter, worst_steps
 from servobench.hil.reviewing.torque_swing import TorqueSwingMeter
 from servobench.hil.reviewing.tracking_error import PositionErrorMeter, SpeedErrorMeter, worst
 from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
-from servobench.hil.rows.records import CAUSES, NAMES, NOTHING, ROW_DTYPE, Rows
+from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.hil.rows.side_rows import TextEvent
 from servobench.hil.verdict.figures import (
     DropoutCounts,

@@ -20,10 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servobench.drivers.timebase import NS_PER_MS
+from servobench.hil.loop.cycle_record import FATE_SAMPLE
 from servobench.hil.reviewing.envelope import Largest
 from servobench.hil.reviewing.tracking_error import AskedChanges, worst
 from servobench.hil.rows.recording_plan import AxisPlan
-from servobench.hil.rows.records import FATE_SAMPLE, Rows
+from servobench.hil.rows.records import Rows
 from servobench.hil.verdict.figures import StepResponse
 
 

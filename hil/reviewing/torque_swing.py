@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servobench.drivers.timebase import NS_PER_S
+from servobench.hil.loop.cycle_record import NOTHING
 from servobench.hil.reviewing.envelope import Largest
 from servobench.hil.rows.recording_plan import AxisPlan
-from servobench.hil.rows.records import NOTHING, Rows
+from servobench.hil.rows.records import Rows
 
 BLOCK: Final = 128
 """Cycles of which the rms is taken."""

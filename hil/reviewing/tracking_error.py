@@ -34,11 +34,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servobench.drivers.timebase import NEVER, NS_PER_S, Duration
+from servobench.hil.loop.cycle_record import FATE_SAMPLE, NOTHING
 from servobench.hil.loop.quantity_by_mode import QUANTITY_BY_MODE
 from servobench.hil.loop.scenario import Quantity
 from servobench.hil.reviewing.envelope import Envelope, Largest, largest
 from servobench.hil.rows.recording_plan import AxisPlan
-from servobench.hil.rows.records import FATE_SAMPLE, NOTHING, Rows
+from servobench.hil.rows.records import Rows
 from servobench.hil.verdict.figures import PositionError, SpeedError, StepResponse
 
 ROUNDING = 1.0 + 1e-9

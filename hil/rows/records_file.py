@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import Instant
-from servobench.hil.rows.records import COLUMNS, FATE_SAMPLE, NAMES, NOTHING, ROW_DTYPE, Column, Rows
+from servobench.hil.loop.cycle_record import COLUMNS, FATE_SAMPLE, NAMES, NOTHING, Column
+from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.hil.rows.run_files import FORMAT
 
 MAGIC = b"ARROW1\0\0"

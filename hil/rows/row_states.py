@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from servobench.drivers.cia402.profile import STATE_BITS, state_of
 from servobench.drivers.cia402.readings import NEVER_TOLD
-from servobench.hil.rows.records import FATE_MISSED, FATE_SAMPLE, Rows
+from servobench.hil.loop.cycle_record import FATE_MISSED, FATE_SAMPLE
+from servobench.hil.rows.records import Rows
 
 LINK_OK_CYCLES = 1000
 """So many cycles without a dropout make a link that is OK: one in which 2 % are lost never is."""

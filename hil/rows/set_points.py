@@ -3,8 +3,9 @@
 import numpy as np
 
 from servobench.drivers.timebase import Instant
+from servobench.hil.loop.cycle_record import NOTHING
 from servobench.hil.rows.recording_plan import PlannedSetPoint
-from servobench.hil.rows.records import NOTHING, Rows
+from servobench.hil.rows.records import Rows
 from servobench.hil.rows.side_rows import TextEvent
 
 

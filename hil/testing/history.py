@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from servobench.drivers.cia402.profile import State, state_of
 from servobench.drivers.rotation import RPM_PER_RAD_S
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US
+from servobench.hil.loop.cycle_record import CAUSES, FATE_SAMPLE, NOTHING
 from servobench.hil.reviewing.network_meter import LossRuns
-from servobench.hil.rows.records import CAUSES, FATE_SAMPLE, NOTHING, Rows
+from servobench.hil.rows.records import Rows
 from servobench.hil.verdict.arguments import checked
 
 Floats = NDArray[np.float64]

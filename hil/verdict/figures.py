@@ -107,7 +107,7 @@ class Figures:
     """Computing time of compensator and controller in a cycle, by the host's clock, over all axes."""
     digest: str
     """BLAKE2b, 128 bit, hex, over the packed rows in order of recording
-    (:mod:`servobench.hil.rows.records`)."""
+    (:mod:`servobench.hil.loop.cycle_record`)."""
     torque_rms_nm: float | None = None
     """About its mean at steady reference and load, worst axis and block
     (:mod:`servobench.hil.reviewing.torque_swing`); None: there was no such block."""

@@ -20,9 +20,10 @@ import numpy as np
 from servobench.drivers.compiled import PURE, look
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
 from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.loop.cycle_record import ROW
 from servobench.hil.recording.ring import RingReader, RingWriter
 from servobench.hil.recording.row_writer import RowWriter
-from servobench.hil.rows.records import ROW, ROW_DTYPE
+from servobench.hil.rows.records import ROW_DTYPE
 from servobench.hil.rows.side_rows import FRAME, FRAME_DTYPE
 from servobench.virtual_bus.bus.host_port import HostPort
 from servobench.virtual_bus.bus.judge import Direction

@@ -15,11 +15,12 @@ import numpy as np
 import rerun as rr
 
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
+from servobench.hil.loop.cycle_record import COLUMNS, NOTHING
 from servobench.hil.recorded.recorded_run import RecordedRun, open_run
 from servobench.hil.recorded.viewer import draw_page
 from servobench.hil.recording.telemetry import Telemetry
 from servobench.hil.reviewing.review import Review
-from servobench.hil.rows.records import COLUMNS, NOTHING, Rows
+from servobench.hil.rows.records import Rows
 from servobench.hil.rows.run_files import RERUN_FILE
 from servobench.hil.rows.side_rows import BeginEvent, StateEvent
 from servobench.hil.verdict.summary import summarise

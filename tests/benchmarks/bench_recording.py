@@ -10,10 +10,12 @@ import numpy as np
 
 from servobench.drivers.exchange import Command, Reading
 from servobench.drivers.timebase import NS_PER_US, Duration, Instant, MonotonicClock
-from servobench.hil.loop.samples import CommandFate, CycleRecord, Sample, Sending, StateEstimate
+from servobench.hil.loop.cycle_record import ROW, CycleRecord, row_of
+from servobench.hil.loop.samples import CommandFate, Sample, Sending, StateEstimate
 from servobench.hil.recording.ring import RingReader, RingWriter
-from servobench.hil.rows.records import ROW, ROW_DTYPE, row_of
+from servobench.hil.rows.records import ROW_DTYPE
 from servobench.hil.rows.side_rows import FRAME, FRAME_DTYPE, frame_row
+from tests.unit.hil.row_tools import cycle_record
 
 _BATCH, _BATCHES = 1_000, 200
 _CAPACITY = 1 << 10
@@ -47,7 +49,7 @@ def main() -> None:
 
 def _record() -> CycleRecord:
     at = Instant(1_000_000)
-    return CycleRecord(
+    return cycle_record(
         sequence=1,
         axis=0,
         due_at=at,

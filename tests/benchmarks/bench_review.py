@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from servobench.drivers.timebase import NS_PER_US, Instant
+from servobench.hil.loop.cycle_record import COLUMNS, NOTHING
 from servobench.hil.recording.sealer import Sealer
-from servobench.hil.rows.records import COLUMNS, NOTHING, ROW_DTYPE, Rows
+from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.hil.rows.records_file import RecordsWriter
 from servobench.hil.rows.run_files import RECORDS_FILE
 

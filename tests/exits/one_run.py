@@ -17,7 +17,7 @@ import numpy as np
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, MonotonicClock
 from servobench.hil.configuration.bench_file import bench_from
 from servobench.hil.configuration.config import BenchConfig
-from servobench.hil.rows.records import FATE_MISSED
+from servobench.hil.loop.cycle_record import FATE_MISSED
 from servobench.hil.rows.run_files import RECORDS_FILE
 from servobench.hil.testing.hosted import DriveProcess
 from servobench.hil.verdict.verdict import ExitStatus, VerdictKind

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from servobench.hil.rows.records import FATE_SAMPLE
+from servobench.hil.loop.cycle_record import FATE_SAMPLE
 from servobench.hil.testing.bench_runs import BenchRunner
 from tests.scenario.processes import EXAMPLES
 

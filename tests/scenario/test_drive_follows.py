@@ -13,7 +13,7 @@ from servobench.drivers.cia402.profile import Mode
 from servobench.drivers.errors import DriveInFault
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
-from servobench.hil.rows.records import COMMAND_FATES
+from servobench.hil.loop.cycle_record import COMMAND_FATES
 from servobench.hil.testing.bench_runs import BenchRunner
 from servobench.hil.testing.run import Run
 from servobench.hil.verdict.verdict import ExitStatus

@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from servobench.hil.rows.records import COLUMNS
+from servobench.hil.loop.cycle_record import COLUMNS
 from servobench.hil.rows.records_file import PHASE_COLUMN, read_metadata
 from servobench.hil.rows.run_files import FORMAT, RECORDS_FILE
 from servobench.hil.testing.bench_runs import BenchRunner

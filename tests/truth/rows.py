@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servobench.drivers.timebase import Duration
-from servobench.hil.rows.records import COMMAND_FATES, ROW_DTYPE, Rows
+from servobench.hil.loop.cycle_record import COMMAND_FATES
+from servobench.hil.rows.records import ROW_DTYPE, Rows
 
 NO_INSTANT: Final = -(2**63)
 """Stands for an instant that there is not."""

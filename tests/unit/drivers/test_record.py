@@ -5,13 +5,14 @@ import inspect
 import pytest
 
 from servobench.drivers.exchange import Command, DemandChange, Readback, Reading, SpeedCommand
-from servobench.drivers.record import Record, replaced, values_of
+from servobench.drivers.record import Record, names_of, replaced, values_of
 from servobench.drivers.timebase import Instant
-from servobench.hil.loop.samples import CycleRecord, Dropout, Sample, Sending, StateEstimate
+from servobench.hil.loop.samples import Dropout, DropoutCause, Sample, Sending, StateEstimate
+from tests.unit.hil.row_tools import cycle_record
 
 KINDS = (
     *(Reading, Readback, DemandChange, Command, SpeedCommand),
-    *(Sample, Dropout, StateEstimate, Sending, CycleRecord),
+    *(Sample, Dropout, StateEstimate, Sending),
 )
 COMMAND = Command(3, 1.5, Instant(10), Instant(20))
 
@@ -54,3 +55,19 @@ def test_it_shows_its_fields() -> None:
 def test_every_record_names_its_fields_in_the_order_of_its_constructor(kind: type[Record]) -> None:
     parameters = list(inspect.signature(kind).parameters)
     assert parameters == list(kind.__match_args__)
+
+
+def test_a_record_of_declared_fields_has_them_as_values() -> None:
+    record = cycle_record(
+        **dict.fromkeys(("due_at", "woke_at", "sync_handed_at", "sync_on_bus_at"), Instant(5)),
+        **dict.fromkeys(("sequence", "axis", "delay"), 3),
+        **dict.fromkeys(("reference_rad_s", "load_torque_nm"), 2.0),
+        **dict.fromkeys(("estimate", "command", "sending", "clock_offset_ns", "clock_error_ns")),
+        observation=Dropout(3, Instant(5), DropoutCause.LOST, certain=True),
+    )
+    assert names_of(record)[:3] == ("sequence", "axis", "due_at")
+    other = replaced(record, compute_ns=7)
+    assert (record.compute_ns, other.compute_ns) == (None, 7)
+    assert other != record
+    assert replaced(other, compute_ns=None) == record
+    assert "compute_ns=7" in repr(other)

@@ -13,13 +13,14 @@ import pytest
 from numpy.typing import NDArray
 
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from servobench.hil.loop.cycle_record import ROW
 from servobench.hil.recording import logger as module
 from servobench.hil.recording.log_files import Keeper
 from servobench.hil.recording.logger import Logger
 from servobench.hil.recording.logger_process import LineReader
 from servobench.hil.recording.ring import RingWriter
 from servobench.hil.rows.recording_plan import RecordingPlan
-from servobench.hil.rows.records import ROW, Rows
+from servobench.hil.rows.records import Rows
 from servobench.hil.rows.side_rows import EVENT, FRAME, RunEvent, event_row
 from servobench.hil.verdict.summary import Summary
 from servobench.virtual_bus.faults.fault_log import BLOCK, KIND_CODES

@@ -13,10 +13,10 @@ from servobench.hil.control.compensation import Arrival
 from servobench.hil.loop.axis import Axis, AxisParts
 from servobench.hil.loop.axis_roles import Compensator, Controller
 from servobench.hil.loop.context import Context, SetPoint, SpeedSetPoint, TorqueSetPoint
+from servobench.hil.loop.cycle_record import CycleRecord
 from servobench.hil.loop.loop import Actuation, Loop, LoopTiming
 from servobench.hil.loop.pace import OwnSync
 from servobench.hil.loop.safety import SafetyGuard, SpeedLimits, TorqueLimits
-from servobench.hil.loop.samples import CycleRecord
 from servobench.hil.loop.scenario import LevelStep, Quantity, ReferenceProfile
 from servobench.hil.loop.syncs import SyncLog
 

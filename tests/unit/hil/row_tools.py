@@ -9,17 +9,25 @@ import numpy as np
 from servobench.drivers.exchange import Command, Reading
 from servobench.drivers.timebase import Duration, Instant
 from servobench.hil.loop.context import CHANNELS_MAX
-from servobench.hil.loop.samples import CycleRecord, Dropout, Sample, Sending, StateEstimate
-from servobench.hil.rows.records import (
+from servobench.hil.loop.cycle_record import (
     CAUSES,
     COMMAND_FATES,
     FATE_SAMPLE,
     NAMES,
     NOTHING,
-    ROW_DTYPE,
-    Rows,
+    CycleRecord,
     row_of,
 )
+from servobench.hil.loop.samples import Dropout, Sample, Sending, StateEstimate
+from servobench.hil.rows.records import ROW_DTYPE, Rows
+
+
+def cycle_record(**fields: Any) -> CycleRecord:
+    """A record with these fields, and those that have a default."""
+    made = CycleRecord()
+    for name, value in fields.items():
+        setattr(made, name, value)
+    return made
 
 
 def rows_of(records: Iterable[CycleRecord]) -> Rows:
@@ -55,7 +63,7 @@ def plain_rows(
 def record_of(row: np.void) -> CycleRecord:
     """The record that was packed into ``row``; inverse of :func:`row_of`."""
     field = {name: row[name].item() for name in NAMES}
-    return CycleRecord(
+    return cycle_record(
         sequence=field["sequence"],
         axis=field["axis"],
         due_at=Instant(field["due_at"]),

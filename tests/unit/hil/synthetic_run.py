@@ -7,15 +7,9 @@ import numpy as np
 
 from servobench.drivers.exchange import Command, Reading
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Duration, Instant
-from servobench.hil.loop.samples import (
-    CommandFate,
-    CycleRecord,
-    Dropout,
-    DropoutCause,
-    Sample,
-    Sending,
-    StateEstimate,
-)
+from servobench.hil.loop.cycle_record import CycleRecord
+from servobench.hil.loop.samples import CommandFate, Dropout, DropoutCause, Sample, Sending, StateEstimate
+from tests.unit.hil.row_tools import cycle_record
 
 PERIOD = NS_PER_MS
 DEADLINE = Duration(2 * NS_PER_MS)
@@ -59,7 +53,7 @@ def synthetic_records(cycles: int, seed: int = 1, origin: int = 0, axis: int = 0
         sending = Sending(
             round(torque_command * 1000), handed_at, handed_at, CommandFate.ACTING, handed_at, acts_by
         )
-        yield CycleRecord(
+        yield cycle_record(
             sequence=cycle + 1,
             axis=axis,
             due_at=due_at,

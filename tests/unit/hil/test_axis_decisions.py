@@ -12,8 +12,9 @@ from servobench.drivers.timebase import Duration, Instant
 from servobench.hil.loop.axis import Axis
 from servobench.hil.loop.axis_roles import Controller
 from servobench.hil.loop.context import Context, PositionSetPoint, SetPoint, TorqueSetPoint
+from servobench.hil.loop.cycle_record import CycleRecord
 from servobench.hil.loop.safety import PositionLimits, SafetyGuard, TorqueLimits
-from servobench.hil.loop.samples import CommandFate, CycleRecord, Dropout, DropoutCause, Sample, StateEstimate
+from servobench.hil.loop.samples import CommandFate, Dropout, DropoutCause, Sample, StateEstimate
 from servobench.hil.loop.scenario import LevelStep, Quantity, Ramp, ReferenceProfile
 from tests.unit.hil.axis_rig import DECIDED, DELAY, HORIZON, Rig
 from tests.unit.hil.loop_fakes import (

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from servobench.drivers.timebase import NS_PER_MS
+from servobench.hil.loop.cycle_record import NOTHING
 from servobench.hil.rows.recording_plan import AxisPlan, CertifiedPlan
-from servobench.hil.rows.records import NOTHING, Rows
+from servobench.hil.rows.records import Rows
 from tests.unit.hil.row_tools import plain_rows
 from tests.unit.hil.test_certificate_meter import AXIS, CERTIFIED, REFERENCE_RAD_S, SETTLING, exact, meter_of
 

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Duration
+from servobench.hil.loop.cycle_record import COMMAND_FATES
 from servobench.hil.loop.samples import CommandFate
 from servobench.hil.reviewing.certificate_meter import CertificateMeter
 from servobench.hil.reviewing.network_meter import AxisNetworkMeter
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.recording_plan import AxisPlan, CertifiedPlan, ReviewPlan
-from servobench.hil.rows.records import COMMAND_FATES, Rows
+from servobench.hil.rows.records import Rows
 from servobench.hil.verdict.plain_values import from_plain
 from servobench.hil.verdict.summary_text import certificate_lines
 from tests.unit.hil.row_tools import plain_rows

@@ -12,7 +12,8 @@ from servobench.hil.configuration.controller_files import MadeFor
 from servobench.hil.configuration.motor_file import LING2012
 from servobench.hil.configuration.network_file import Network
 from servobench.hil.execution.network_guard import REMEDY, Allowed, Certificates, allowed
-from servobench.hil.loop.samples import CommandFate, CycleRecord, Sample, Sending
+from servobench.hil.loop.cycle_record import CycleRecord
+from servobench.hil.loop.samples import CommandFate, Sample, Sending
 from servobench.hil.rows.recording_plan import CertifiedPlan
 from tests.unit.hil.loop_fakes import reading_at
 from tests.unit.hil.test_network_guard import LIMITS, MADE_FOR, PERIOD, REAL, Watched, bench, record

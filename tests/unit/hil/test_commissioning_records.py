@@ -6,19 +6,13 @@ import numpy as np
 import pytest
 
 from servobench.drivers.exchange import Command, Reading
-from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.hil.commissioning.exercise import Recording, recording_of
 from servobench.hil.commissioning.identify import Array, Mechanics, identify_mechanics, plain_ratio, ratio_of
 from servobench.hil.commissioning.ripple import torque_by_angle
-from servobench.hil.loop.samples import (
-    CommandFate,
-    CycleRecord,
-    Dropout,
-    DropoutCause,
-    Observation,
-    Sample,
-    Sending,
-)
+from servobench.hil.loop.cycle_record import CycleRecord
+from servobench.hil.loop.samples import CommandFate, Dropout, DropoutCause, Observation, Sample, Sending
+from tests.unit.hil.row_tools import cycle_record
 from tests.unit.hil.test_commissioning_figures import T_0, T_C, B, J, record
 
 FIRST = Instant(5 * NS_PER_MS)
@@ -46,10 +40,13 @@ def cycle(
     sending = (
         Sending(0, due, None, CommandFate.NOT_MEASURED, None, None) if sent and command is not None else None
     )
-    return CycleRecord(
-        number + 1, 0, due, due, due, on_bus_at if on_bus else None, observation, Duration(250_000), None,
-        0.0, 0.0, command, sending, None, None,
-    )  # fmt: skip
+    return cycle_record(
+        due_at=due,
+        sync_on_bus_at=on_bus_at if on_bus else None,
+        observation=observation,
+        command=command,
+        sending=sending,
+    )
 
 
 def columns(recording: Recording) -> list[list[float]]:

@@ -10,6 +10,7 @@ import pytest
 
 from servobench.drivers.errors import BadInput
 from servobench.hil.configuration.config_files import BadInputs
+from servobench.hil.loop.cycle_record import NAMES
 from servobench.hil.recorded.comparison import (
     Against,
     Difference,
@@ -21,7 +22,7 @@ from servobench.hil.recorded.comparison import (
     load_tolerances,
 )
 from servobench.hil.recorded.recorded_run import RecordedRun
-from servobench.hil.rows.records import NAMES, Rows
+from servobench.hil.rows.records import Rows
 from tests.unit.hil.made_runs import made_run
 from tests.unit.hil.row_tools import plain_rows
 

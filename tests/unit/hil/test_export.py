@@ -14,8 +14,9 @@ from typer.testing import CliRunner, Result
 
 from servobench.drivers.timebase import Instant
 from servobench.hil.cli import app
+from servobench.hil.loop.cycle_record import COLUMNS
 from servobench.hil.reviewing.export import CHUNK_ROWS, RecordedRows
-from servobench.hil.rows.records import COLUMNS, ROW_DTYPE
+from servobench.hil.rows.records import ROW_DTYPE
 from servobench.hil.rows.records_file import RecordsWriter
 from servobench.hil.rows.run_files import RECORDS_FILE
 from tests.unit.hil.row_tools import rows_of

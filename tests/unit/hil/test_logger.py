@@ -11,9 +11,9 @@ import pytest
 
 from servobench.drivers.record import replaced
 from servobench.drivers.timebase import Instant
+from servobench.hil.loop.cycle_record import row_of
 from servobench.hil.recording.logger import Logger
 from servobench.hil.recording.logger_process import LineReader
-from servobench.hil.rows.records import row_of
 from servobench.hil.rows.side_rows import TextEvent, frame_row
 from servobench.hil.verdict.summary import Summary
 from servobench.hil.verdict.verdict import VerdictKind

@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.hil.loop.cycle_record import ROW
 from servobench.hil.recording.log_files import Keeper
 from servobench.hil.recording.logger import Logger
 from servobench.hil.rows.recording_plan import PlannedSetPoint
-from servobench.hil.rows.records import ROW
 from servobench.hil.rows.side_rows import (
     FRAME,
     BeginEvent,

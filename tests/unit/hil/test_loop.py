@@ -11,10 +11,11 @@ from servobench.drivers.exchange import Command, SentCommand, SpeedCommand
 from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 from servobench.hil.control.compensation import Stamp
 from servobench.hil.loop.axis_roles import Controller
+from servobench.hil.loop.cycle_record import CycleRecord
 from servobench.hil.loop.loop import Actuation, LoopOutcome
 from servobench.hil.loop.pace import CALIBRATION_SYNCS, CALIBRATION_SYNCS_MAX
 from servobench.hil.loop.safety import SpeedLimits, TorqueLimits
-from servobench.hil.loop.samples import CycleRecord, Dropout, DropoutCause, Sample, StateEstimate
+from servobench.hil.loop.samples import Dropout, DropoutCause, Sample, StateEstimate
 from tests.unit.hil.loop_fakes import (
     DEVICE_CLOCK_OFFSET_NS,
     PERIOD,

@@ -14,6 +14,7 @@ from servobench.drivers.canopen.pdo import PdoDirection, PdoEntry, PdoMap
 from servobench.drivers.wire.frame_port import EchoBasis
 from servobench.hil.configuration.network_file import ClockHealth
 from servobench.hil.loop.axis import Axis
+from servobench.hil.loop.cycle_record import COMMAND_FATES, NOTHING
 from servobench.hil.loop.samples import CommandFate
 from servobench.hil.measuring.figures import (
     ClockFigures,
@@ -30,7 +31,7 @@ from servobench.hil.measuring.loss_model import LOST, Losses, LossModel, Paramet
 from servobench.hil.measuring.stages import Stage, command_stages, stage, ways
 from servobench.hil.measuring.stamp_probe import StampFigures
 from servobench.hil.measuring.subject import MeasureRequest
-from servobench.hil.rows.records import COMMAND_FATES, NOTHING, Rows
+from servobench.hil.rows.records import Rows
 from tests.unit.hil.test_measuring import change, rows_of, sent
 
 REQUEST: Final = MeasureRequest("hub:x", (3,), 500, 1000, 1_000_000, enable=True, speed_max_rad_s=10.0)

@@ -12,13 +12,14 @@ from servobench.drivers.record import replaced
 from servobench.drivers.timebase import Instant
 from servobench.drivers.wire.frame_port import EchoBasis
 from servobench.hil.configuration.network_file import load_network, network_text
+from servobench.hil.loop.cycle_record import COMMAND_FATES, NOTHING
 from servobench.hil.loop.samples import AT_REST, CommandFate
 from servobench.hil.measuring.figures import network_of
 from servobench.hil.measuring.loss_model import CAME, LOST, UNKNOWN
 from servobench.hil.measuring.probe import TimedDemandChange, acting
 from servobench.hil.measuring.stages import Stage, command_stages, host_stages, reading_stages, refined, ways
 from servobench.hil.measuring.subject import Excitation, steps_of
-from servobench.hil.rows.records import COMMAND_FATES, NOTHING, ROW_DTYPE, Rows
+from servobench.hil.rows.records import ROW_DTYPE, Rows
 from tests.unit.hil.cycles import advance, torque_of
 
 PERIOD_NS = 1_000_000

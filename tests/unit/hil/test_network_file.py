@@ -7,12 +7,13 @@ import pytest
 
 from servobench.drivers.errors import BadInput, BenchError
 from servobench.hil.configuration.network_file import ClockHealth, Network, load_network, network_text
+from servobench.hil.loop.cycle_record import COMMAND_FATES, FATE_MISSED, NOTHING
 from servobench.hil.loop.samples import CommandFate
 from servobench.hil.recording.log_files import NetworkKeeper
 from servobench.hil.reviewing.network_meter import NetworkMeter
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
-from servobench.hil.rows.records import COMMAND_FATES, FATE_MISSED, NOTHING, ROW_DTYPE, Rows
+from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.virtual_bus.faults.fault_plan import read_fault_plan
 from tests.unit.hil.test_summary import summary_with, timing
 

@@ -14,18 +14,18 @@ from servobench.hil.configuration.controller_files import MadeFor
 from servobench.hil.configuration.motor_file import LING2012
 from servobench.hil.configuration.network_file import Network
 from servobench.hil.execution.network_guard import Allowed, Certificates, NetworkGuard, allowed
+from servobench.hil.loop.cycle_record import CycleRecord
 from servobench.hil.loop.samples import (
     CommandFate,
-    CycleRecord,
     Dropout,
     DropoutCause,
     Observation,
     Sample,
     Sending,
-    StateEstimate,
 )
 from servobench.hil.studies.speed.controller_text import plant_of
 from tests.unit.hil.loop_fakes import reading_at
+from tests.unit.hil.row_tools import cycle_record
 
 PERIOD = Duration(2_000_000)
 LIMITS = Allowed(3, Duration(1_000_000), Duration(9_000_000))
@@ -66,12 +66,14 @@ def record(sequence: int, delay_us: int | None) -> CycleRecord:
         reading = reading_at(Instant(sampled + delay - 200_000))
         observation = Sample(sequence, reading, Instant(sampled), 0, True)
     effective = Instant(sampled + delay)
-    return CycleRecord(
-        sequence, 0, Instant(sampled), Instant(sampled), Instant(sampled), Instant(sampled), observation,
-        Duration(delay), StateEstimate(0.0, 0.0, 0.0, Instant(0), 0), 0.0, 0.0,
-        Command(sequence, 0.0, effective, Instant(effective + PERIOD)),
-        Sending(0, Instant(effective - 100_000), effective, CommandFate.NOT_MEASURED, None, None), None, None,
-    )  # fmt: skip
+    return cycle_record(
+        sequence=sequence,
+        sync_on_bus_at=Instant(sampled),
+        observation=observation,
+        delay=Duration(delay),
+        command=Command(sequence, 0.0, effective, Instant(effective + PERIOD)),
+        sending=Sending(0, Instant(effective - 100_000), effective, CommandFate.NOT_MEASURED, None, None),
+    )
 
 
 class Watched:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from servobench.hil.configuration.network_file import ClockHealth, DelayFigures, DelayHistogram, Network
+from servobench.hil.loop.cycle_record import CAUSES, COMMAND_FATES, NOTHING
 from servobench.hil.loop.samples import CommandFate, DropoutCause
 from servobench.hil.reviewing.histogram import TimeHistogram
 from servobench.hil.reviewing.network_meter import (
@@ -18,7 +19,7 @@ from servobench.hil.reviewing.network_meter import (
     histogram_of,
     runs_of,
 )
-from servobench.hil.rows.records import CAUSES, COMMAND_FATES, NOTHING, ROW_DTYPE, Rows
+from servobench.hil.rows.records import ROW_DTYPE, Rows
 from tests.unit.hil.test_summary import summary_with, timing
 
 US = 1_000

@@ -9,10 +9,11 @@ import pytest
 from servobench.drivers.errors import LimitExceeded, NoAnswer, PeerFault
 from servobench.drivers.timebase import NS_PER_US, Duration, Instant
 from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.loop.cycle_record import CycleRecord
 from servobench.hil.loop.loop import Loop, LoopOutcome
 from servobench.hil.loop.pace import CALIBRATION_SPACINGS, PERIOD_ERROR_MAX, HeardSync, Stall
 from servobench.hil.loop.safety import TorqueLimits
-from servobench.hil.loop.samples import CycleRecord, Dropout, DropoutCause, Sample
+from servobench.hil.loop.samples import Dropout, DropoutCause, Sample
 from servobench.hil.loop.syncs import SyncLog
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, TIMING, FakeBus, FakeDrive, make_axis
 

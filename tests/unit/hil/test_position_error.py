@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Duration
+from servobench.hil.loop.cycle_record import NOTHING
 from servobench.hil.reviewing.tracking_error import PositionErrorMeter, worst
 from servobench.hil.rows.recording_plan import AxisPlan
-from servobench.hil.rows.records import NOTHING, Rows
+from servobench.hil.rows.records import Rows
 from servobench.hil.verdict.figures import NO_POSITIONS, PositionError
 from tests.unit.hil.row_tools import plain_rows
 

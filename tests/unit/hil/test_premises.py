@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from servobench.drivers.timebase import NS_PER_US
+from servobench.hil.loop.cycle_record import COMMAND_FATES, NOTHING
 from servobench.hil.loop.samples import CommandFate
 from servobench.hil.reviewing.certificate_meter import PremisesMeter
 from servobench.hil.reviewing.network_meter import AxisNetworkMeter
 from servobench.hil.rows.recording_plan import AxisPlan, CertifiedPlan
-from servobench.hil.rows.records import COMMAND_FATES, NOTHING, ROW_DTYPE, Rows
+from servobench.hil.rows.records import ROW_DTYPE, Rows
 
 PERIOD_US = 1_000
 LIMIT_ACTIVE = 1 << 11

@@ -10,19 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from servobench.drivers.exchange import Command, PositionCommand, Reading, SpeedCommand
-from servobench.drivers.record import AnyRecord, Record, replaced, values_of
+from servobench.drivers.record import AnyRecord, Record, names_of, replaced, values_of
 from servobench.drivers.timebase import Duration, Instant
-from servobench.hil.loop.samples import (
-    CommandFate,
-    CycleRecord,
-    Dropout,
-    DropoutCause,
-    Sample,
-    Sending,
-    StateEstimate,
-)
-from servobench.hil.rows.records import NAMES, NOTHING, ROW, ROW_DTYPE, row_of
-from tests.unit.hil.row_tools import record_of
+from servobench.hil.loop.cycle_record import NAMES, NOTHING, ROW, CycleRecord, row_of
+from servobench.hil.loop.samples import CommandFate, Dropout, DropoutCause, Sample, Sending, StateEstimate
+from servobench.hil.rows.records import ROW_DTYPE
+from tests.unit.hil.row_tools import cycle_record, record_of
 from tests.unit.hil.synthetic_run import synthetic_records
 
 instants = st.integers(-(2**62), 2**62).map(Instant)
@@ -45,7 +38,7 @@ samples = st.builds(Sample, st.just(7), readings, instants, errors, st.booleans(
 due = st.shared(instants, key="due")
 dropouts = st.builds(Dropout, st.just(7), due, st.sampled_from(DropoutCause), st.booleans())
 records = st.builds(
-    CycleRecord,
+    cycle_record,
     sequence=st.just(7),
     axis=st.integers(0, 0xFFFF),
     due_at=due,
@@ -80,7 +73,7 @@ def test_a_record_survives_packing(record: CycleRecord) -> None:
     assert record_of(row) == record
 
 
-WHOLE = CycleRecord(
+WHOLE = cycle_record(
     sequence=7,
     axis=0,
     due_at=Instant(1),
@@ -114,7 +107,7 @@ TOLD_ONCE = {"observation.sequence", "command.sequence"}
 
 def changed(record: AnyRecord) -> Iterator[tuple[str, AnyRecord]]:
     """The record with each of its fields changed in turn, and those of its parts, by their names."""
-    for name, value in zip(record.__match_args__, values_of(record), strict=True):
+    for name, value in zip(names_of(record), values_of(record), strict=True):
         if isinstance(value, Record):
             for below, other in changed(value):
                 yield f"{name}.{below}", replaced(record, **{name: other})

@@ -9,7 +9,8 @@ import pytest
 
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_MS, Instant
-from servobench.hil.rows.records import COLUMNS, NAMES, NOTHING, Rows
+from servobench.hil.loop.cycle_record import COLUMNS, NAMES, NOTHING
+from servobench.hil.rows.records import Rows
 from servobench.hil.rows.records_file import (
     RecordsWriter,
     column_of,

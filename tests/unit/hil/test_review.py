@@ -8,11 +8,12 @@ import pytest
 
 from servobench.drivers.record import replaced
 from servobench.drivers.timebase import Instant
-from servobench.hil.loop.samples import CycleRecord, Dropout
+from servobench.hil.loop.cycle_record import NAMES, NOTHING, CycleRecord, row_of
+from servobench.hil.loop.samples import Dropout
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
 from servobench.hil.rows.records import DIGESTED as PLACES
-from servobench.hil.rows.records import NAMES, NOTHING, Rows, row_of
+from servobench.hil.rows.records import Rows
 from servobench.hil.verdict.figures import DropoutCounts, Figures
 from tests.unit.hil.row_tools import plain_rows, rows_of
 from tests.unit.hil.synthetic_run import synthetic_records

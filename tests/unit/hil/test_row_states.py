@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from servobench.drivers.cia402.readings import NEVER_TOLD
-from servobench.hil.rows.records import FATE_MISSED
+from servobench.hil.loop.cycle_record import FATE_MISSED
 from servobench.hil.rows.row_states import (
     LINK_DOWN_CYCLES,
     DriveStates,

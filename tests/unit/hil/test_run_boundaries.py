@@ -12,9 +12,10 @@ import pytest
 from servobench.drivers.cia402.profile import State
 from servobench.drivers.errors import BusDown
 from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.hil.loop.cycle_record import NOTHING
 from servobench.hil.recording.run_folder import write_summary
 from servobench.hil.recording.sealer import Sealer
-from servobench.hil.rows.records import NOTHING, Rows
+from servobench.hil.rows.records import Rows
 from servobench.hil.rows.records_file import RecordsWriter
 from servobench.hil.testing.history import AxisHistory, Stretch
 from servobench.hil.testing.run import Run

@@ -9,7 +9,8 @@ import pytest
 from servobench.drivers.cia402.profile import State
 from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.hil.configuration.bench_file import load_bench
-from servobench.hil.rows.records import NOTHING, ROW_DTYPE, Rows
+from servobench.hil.loop.cycle_record import NOTHING
+from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.hil.testing.run import Run
 from servobench.hil.testing.wire import SeenFrame, Wire
 from tests.unit.hil.test_report import summary

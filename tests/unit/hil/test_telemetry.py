@@ -10,13 +10,14 @@ import rerun as rr
 from rerun.chunk import RrdReader
 
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Instant
+from servobench.hil.loop.cycle_record import COMMAND_FATES, FATE_MISSED, FATE_SAMPLE, NOTHING
 from servobench.hil.loop.samples import CommandFate
 from servobench.hil.recording.telemetry import Telemetry
 from servobench.hil.reviewing.envelope import BUCKETS
 from servobench.hil.reviewing.histogram import round_width
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
-from servobench.hil.rows.records import COMMAND_FATES, FATE_MISSED, FATE_SAMPLE, NOTHING, Rows
+from servobench.hil.rows.records import Rows
 from servobench.hil.rows.side_rows import BeginEvent, IdentityEvent, RunEvent, StateEvent, TextEvent
 from servobench.hil.verdict.limits import VerdictLimits
 from servobench.hil.verdict.plain_values import from_plain

@@ -12,10 +12,11 @@ import rerun as rr
 from rerun.chunk import RrdReader
 
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Instant
+from servobench.hil.loop.cycle_record import FATE_MISSED, NOTHING
 from servobench.hil.recording.telemetry import Telemetry, _end_event
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.recording_plan import AxisPlan, ObservedDrive, RecordingPlan, ReviewPlan
-from servobench.hil.rows.records import FATE_MISSED, NOTHING, Rows
+from servobench.hil.rows.records import Rows
 from servobench.hil.rows.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent
 from servobench.hil.verdict.summary import summarise
 from servobench.hil.verdict.verdict import Check, LimitResult

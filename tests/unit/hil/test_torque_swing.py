@@ -7,10 +7,11 @@ import pytest
 from numpy.typing import NDArray
 
 from servobench.drivers.timebase import NS_PER_MS
+from servobench.hil.loop.cycle_record import NOTHING
 from servobench.hil.reviewing.review import Review
 from servobench.hil.reviewing.torque_swing import BLOCK, TorqueSwingMeter
 from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
-from servobench.hil.rows.records import NOTHING, Rows
+from servobench.hil.rows.records import Rows
 from tests.unit.hil.row_tools import plain_rows
 
 RATED_NM = 2.0

@@ -9,10 +9,10 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from servobench.hil.cli import app
+from servobench.hil.loop.cycle_record import FATE_SAMPLE
 from servobench.hil.recorded.explanation import Bursts, brief
 from servobench.hil.recorded.judgement import judge_run
 from servobench.hil.recorded.recorded_run import open_run
-from servobench.hil.rows.records import FATE_SAMPLE
 from servobench.hil.rows.records_file import read_records
 from tests.told import ROOT
 from tests.unit.hil.recorded_runs import short_run
