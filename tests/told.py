@@ -14,6 +14,8 @@ import copy
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from difflib import unified_diff
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,6 +25,7 @@ from servobench.drivers.errors import BenchError
 
 ROOT: Final = Path(__file__).parents[1]
 ANEW: Final = "SERVOBENCH_TELL_ANEW"
+MEANT: Final = f"Is that meant? {ANEW}=1 pytest tests/unit -k told; git diff tests/unit"
 NUMBER: Final = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?!\w)")
 CHANGING: Final = (
     (re.compile(r" +"), " "),
@@ -50,7 +53,7 @@ AS_NEAR: Final = 2e-3
 
 
 def hold(text: str, path: Path) -> None:
-    """Against what the file holds. Raises AssertionError."""
+    """Against what the file holds. Raises AssertionError, with what differs and how a text is told anew."""
     text = text.replace(str(ROOT), "ROOT")
     for pattern, word in CHANGING:
         text = pattern.sub(word, text)
@@ -58,12 +61,13 @@ def hold(text: str, path: Path) -> None:
     if os.environ.get(ANEW):
         path.write_text(text, encoding="utf-8")
     told = path.read_text(encoding="utf-8")
-    assert NUMBER.sub("#", text).splitlines() == NUMBER.sub("#", told).splitlines()
+    changed = "\n".join(islice(unified_diff(told.splitlines(), text.splitlines(), lineterm="", n=0), 2, 12))
+    assert NUMBER.sub("#", text) == NUMBER.sub("#", told), f"{path.name}:\n{changed}\n{MEANT}"
     pairs = zip(text.splitlines(), told.splitlines(), strict=True)
     moved = [
         pair for pair in pairs if _numbers(pair[0]) != pytest.approx(_numbers(pair[1]), rel=AS_NEAR, abs=1e-9)
     ]
-    assert moved == []
+    assert moved == [], MEANT
 
 
 def _numbers(line: str) -> list[float]:
