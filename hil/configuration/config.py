@@ -22,6 +22,7 @@ from servobench.hil.configuration.network_file import stamp_resolutions_us
 from servobench.hil.configuration.quantities import WHOLE, HeartbeatTimeout, Torque
 from servobench.hil.configuration.references import Load, Reference
 from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.loop.scenario import Quantity
 from servobench.hil.loop.syncs import HORIZON_MAX
 from servobench.hil.verdict.limits import LIMITED, VerdictLimits
 from servobench.virtual_bus.device.background import Stream
@@ -344,6 +345,14 @@ class BenchConfig(Section):
         """Return True if the position travels before the speed of the same SYNC: where positions are
         commanded or controlled, if it comes with every SYNC."""
         return self.drive[axis].mode != "cst" and self.loop.position_every_cycles == 1
+
+    def quantity(self, axis: str) -> Quantity:
+        """Return the quantity of an axis' reference; without a reference its controller's, for a user's
+        controller speed."""
+        entries = self.reference.get(axis, ())
+        if entries and entries[0].told:
+            return entries[0].quantity
+        return self.drive[axis].follows or Quantity.SPEED
 
     def counted(self, axis: str) -> bool:
         """Return True if position and speed of one SYNC are to travel in one TPDO."""

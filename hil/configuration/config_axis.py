@@ -34,6 +34,8 @@ from servobench.hil.configuration.quantities import (
     Speed,
     Torque,
 )
+from servobench.hil.loop.quantity_by_mode import QUANTITY_BY_MODE
+from servobench.hil.loop.scenario import Quantity
 from servobench.virtual_bus.device.device_options import STAMP_BITS, STAMP_LATE_MAX_NS, StampLatch
 from servobench.virtual_bus.drive.current_bandwidth import current_bandwidth_hz
 from servobench.virtual_bus.drive.lacks import PATTERN
@@ -306,6 +308,11 @@ class DriveConfig(Section):
         """``stamp_resolution_us`` in ns."""
         us = self.stamp_resolution_us
         return None if us is None else Duration(round(us * NS_PER_US))
+
+    @property
+    def follows(self) -> Quantity | None:
+        """The quantity of the reference that its controller takes; None: any."""
+        return self.controller.follows(QUANTITY_BY_MODE[self.mode])
 
     @property
     def observed(self) -> Observed:

@@ -19,20 +19,6 @@ _OF_SPEEDS: Final = ("speed_error_peak_percent_max", "after_load_percent_max", "
 _OF_POSITIONS: Final = ("position_error_peak_rad_max", "position_error_rms_rad_max")
 
 
-def quantity_of(config: BenchConfig, axis: str) -> Quantity:
-    """Return the quantity of an axis' reference; without a reference its controller's, for a user's
-    controller speed."""
-    entries = config.reference.get(axis, ())
-    if entries and entries[0].told:
-        return entries[0].quantity
-    return _taken(config.drive[axis]) or Quantity.SPEED
-
-
-def _taken(drive: DriveConfig) -> Quantity | None:
-    """Return the reference that a drive's controller takes; None: any."""
-    return drive.controller.follows(QUANTITY_BY_MODE[drive.mode])
-
-
 def mode_faults(config: BenchConfig) -> Iterator[Fault]:
     """Yield the values that do not go with a drive's mode."""
     for axis in config.axes:
@@ -68,7 +54,7 @@ def _limits_of_mode(key: str, drive: DriveConfig) -> Iterator[Fault]:
 
 
 def _verdict_of_modes(config: BenchConfig) -> Iterator[Fault]:
-    quantities = {quantity_of(config, axis) for axis in config.axes}
+    quantities = {config.quantity(axis) for axis in config.axes}
     given = {QUANTITY_BY_MODE[drive.mode] for drive in config.drive.values()}
     applies = (
         (_OF_SPEEDS, Quantity.SPEED in quantities, "an axis with a speed reference"),
@@ -97,10 +83,10 @@ def reference_faults(axis: str, drive: DriveConfig, config: BenchConfig) -> Iter
             expected = f"absent beside {entry.told[0][1]}: an entry is of one quantity"
             yield f"{table}[{index}].{key}", getattr(entry, key), expected, ""
             return
-        taken = _taken(drive) or entries[0].quantity
+        taken = drive.follows or entries[0].quantity
         if entry.quantity is not taken:
             why = f'a {drive.controller.kind} controller in mode = "{drive.mode}" takes {taken.value}s'
-            if _taken(drive) is None:
+            if drive.follows is None:
                 why = f"all entries of an axis are of one quantity, here a {taken.value}"
             yield f"{table}[{index}].{entry.told[0][1]}", entry.level, f"a {taken.value}: {why}", ""
             return

@@ -2,9 +2,10 @@
 with the files of user code.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from servobench.drivers.canopen.cob_ids import SYNC
 from servobench.drivers.cia402.pdo_plans import TARGETS
@@ -15,7 +16,6 @@ from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.timebase import NS_PER_S, Duration
 from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.configuration.controller_kinds import ArrivalCompensator, OwnCode
-from servobench.hil.configuration.mode_checks import quantity_of
 from servobench.hil.control.own_code import source_of
 from servobench.hil.control.setup import Setup
 from servobench.hil.loop.axis import Axis, AxisParts
@@ -28,6 +28,9 @@ from servobench.hil.loop.scenario import Quantity, ReferenceProfile
 from servobench.hil.loop.syncs import SyncLog
 from servobench.virtual_bus.bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
 from servobench.virtual_bus.frame import Frame
+
+if TYPE_CHECKING:
+    from servobench.virtual_bus.drive.servo import SimulatedServo
 
 PATIENCE_SIMULATED_S = 10.0
 """Limit of a user code call in simulated time, s: more than a solver takes for a step. On a bus in real time
@@ -121,6 +124,16 @@ COMMAND_FRAMES = {
 bits, 60FFh, 607Ah and 60C1h:1 have 32."""
 
 
+def simulated(config: BenchConfig) -> "Sequence[SimulatedServo]":
+    """Return the drives of the bench, if its bus is simulated."""
+    if not config.simulated:
+        return ()
+    # A host of other drives does without it.
+    from servobench.hil.execution.simulated_drives import simulated_drives
+
+    return simulated_drives(config)
+
+
 def loop_timing(config: BenchConfig) -> LoopTiming:
     """Return the loop's times; the latencies are those of the idle first segment."""
     bitrate = config.bus.bitrate_bit_s
@@ -158,7 +171,7 @@ def command_duration(bitrate: int, mode: str) -> Duration:
 def reference_profile(config: BenchConfig, axis: str) -> ReferenceProfile:
     """Return the reference of one axis, in SI units."""
     entries = config.reference.get(axis, ())
-    return ReferenceProfile([entry.segment() for entry in entries], quantity_of(config, axis))
+    return ReferenceProfile([entry.segment() for entry in entries], config.quantity(axis))
 
 
 def _guard(config: BenchConfig, axis: str) -> SafetyGuard:

@@ -78,16 +78,15 @@ def run_bench(
 ) -> Summary:
     """Run a bench and review it; from any thread.
 
-    ``bus_spec``, ``time``, ``seed``: override those in the file. ``record``: its folder, default one under
-    ``runs``; no file is kept unless ``keep``. ``controllers``: by axis, in place of the file's. ``network``:
-    file of an earlier measurement, with the stamps' resolution. That network, the run's own and the drives
-    must match the controllers' certificates, unless ``allow_uncertified``. ``privileged``: with real-time
-    priority and locked memory. ``stop``: asks for the end, as a stop signal does. ``recording``: starts a
-    recorder. Raises BadInput before anything moves, PeerFault if bus or drive failed, RecordingFailed if the
-    recording did; after the drives are at rest, and ``concluded`` is given the summary in any case.
+    ``bus_spec``, ``time``, ``seed``: override those in the file. ``record``: its folder, by default one under
+    ``runs``; none unless ``keep``. ``controllers``: by axis, in place of the file's. ``network``: file of an
+    earlier measurement, with the stamps' resolution. That network, the run's own and the drives must match
+    the controllers' certificates, unless ``allow_uncertified``. ``privileged``: with real-time priority and
+    locked memory. ``stop``: asks for the end, as a stop signal does. ``recording``: starts a recorder. Raises
+    BadInput before anything moves, PeerFault if bus or drive failed, RecordingFailed if the recording did;
+    after the drives are at rest, and ``concluded`` is given the summary in any case.
     """
-    controllers = controllers or {}
-    check_axes(config, controllers)
+    check_axes(config, controllers := controllers or {})
     sheets = data_sheets(config)
     spec = parse_bus_spec(bus_spec or config.bus.spec, "--bus" if bus_spec else config.source)
     config = config.as_run(str(spec), seed, network)
@@ -96,9 +95,9 @@ def run_bench(
     paced = check_time(spec, time, served is not None)
     segments.check_sync_source(config, spec)
     code = axis_code(config, controllers, real_time=paced or not config.simulated)
+    timing, devices = assembly.loop_timing(config), assembly.simulated(config)
     log = FaultLog() if config.faults is not None else None
     world_plan = WorldPlan.of_bench(config, spec, paced, log)
-    devices = _simulated(config)
     with stop_signals(stop) as asked, open_world(world_plan, devices) as world:
         folder = record or new_folder(RUNS_FOLDER / f"{config.bench.name}-{utc_stamp()}") if keep else None
         plan = replace(
@@ -117,8 +116,9 @@ def run_bench(
         conclusion = Conclusion(config.axes, config.faults, planned)
         with conclusion.explaining(lambda: concluded(recorder.close(conclusion.outcome))):
             run = _Run(
-                config, world, recorder, conclusion, asked, progress, code, certificates, devices, sheets
-            )
+                config, timing, world, recorder, conclusion, asked, progress, code, certificates, devices,
+                sheets,
+            )  # fmt: skip
         with timing_conditions(world.real_time, privileged) as refused:
             try:
                 return run.to_the_end(refused, concluded)
@@ -128,21 +128,12 @@ def run_bench(
                 raise
 
 
-def _simulated(config: BenchConfig) -> "Sequence[SimulatedServo]":
-    """Return the drives of the bench, if its bus is simulated."""
-    if not config.simulated:
-        return ()
-    # A host of other drives does without it.
-    from servobench.hil.execution.simulated_drives import simulated_drives
-
-    return simulated_drives(config)
-
-
 @dataclass
 class _Run:
     """One run in its world, from connecting to the drives to closing the recording."""
 
     config: BenchConfig
+    timing: LoopTiming
     world: World
     recorder: RunRecorder
     conclusion: Conclusion
@@ -168,7 +159,6 @@ class _Run:
             ServoDrive(self._networks[config.drive[name].segment], config.drive[name].node, name)
             for name in config.axes
         ]
-        self._load = LoadMachines(config, self._network, recorder, self.servos)
         self._session = DriveSession(
             world,
             self._networks,
@@ -178,6 +168,7 @@ class _Run:
             own_sync=config.loop.sync == "own",
             repeated=made_twice(config.faults),
         )
+        self._load = LoadMachines(config, self._network, recorder, self.servos)
         world.tell_troubles(recorder.event)
         if config.recording.frames:
             segments.record_frames(world, recorder.tap)
@@ -223,9 +214,8 @@ class _Run:
             self._note_state(drive, drive.control.fault_seen_at if drive.state in FAULTY else None)
 
     def _run(self) -> None:
-        config, world = self.config, self.world
-        timing = assembly.loop_timing(config)
-        self._prepare(timing)
+        config, world, timing = self.config, self.world, self.timing
+        self._prepare()
         syncs, pace = segments.listen_for_syncs(config, world, self._networks, self._master, timing.period)
         self._syncs = {segment or str(world.link.name): log for segment, log in syncs.items()}
         warn = partial(self._say, level="WARN")
@@ -248,9 +238,9 @@ class _Run:
             delays_of=self._axes, bench=config.drive, chore=self._load.chore,
         )  # fmt: skip
         with segments.sync_producer(config.loop.sync, world.link.bus, timing.period):
-            self._calibrate_and_run(loop, timing)
+            self._calibrate_and_run(loop)
 
-    def _calibrate_and_run(self, loop: Loop, timing: LoopTiming) -> None:
+    def _calibrate_and_run(self, loop: Loop) -> None:
         self._enter("calibrating")
         loop.calibrate()
         self.stop.check()
@@ -269,13 +259,13 @@ class _Run:
             duration_s(self.config.bench.duration_s),
             self.stop,
             self._start,
-            lambda done: self._note_progress(done * timing.period / NS_PER_S),
+            lambda done: self._note_progress(done * self.timing.period / NS_PER_S),
         )
         self._note_ended(ended, Duration(MonotonicClock().now() - began))
         if not ended.interrupted:
             self.conclusion.look_at(self._drives)
 
-    def _prepare(self, timing: LoopTiming) -> None:
+    def _prepare(self) -> None:
         for note in (*self.certificates.notes, *self.certificates.doubts(), *odd_values(self.config)):
             self._say(note, "WARN")
         for axis, code in self.code.items():
@@ -292,7 +282,7 @@ class _Run:
             self.stop.check()
         self._enter("configuring")
         for drive in self._drives:
-            settings = drive_settings(self.config, drive.name, timing, self.sheets.get(drive.name))
+            settings = drive_settings(self.config, drive.name, self.timing, self.sheets.get(drive.name))
             if (commissioned := self.config.drive[drive.name].commissioned) is not None:
                 write_commissioned(drive, commissioned, simulated=self.config.simulated)
             notes = drive.configure(settings)
@@ -325,7 +315,8 @@ class _Run:
         self.conclusion.ended(
             ended,
             reason,
-            self.config.loop,
+            self.timing.period,
+            self.config.loop.horizon,
             bus_load_percent=self.world.load_percent(ended.started_at, ended.ended_at),
             realtime_factor=(ended.ended_at - ended.started_at) / max(took, 1),
             network_notes=self.certificates.notes,

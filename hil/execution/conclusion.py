@@ -14,7 +14,7 @@ from servobench.drivers.cia402.servo import ServoDrive
 from servobench.drivers.cia402.supervision import Release
 from servobench.drivers.errors import BenchError, DriveInFault
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
-from servobench.hil.configuration.config import Foreign, LoopConfig
+from servobench.hil.configuration.config import Foreign
 from servobench.hil.loop.attribution import Health
 from servobench.hil.loop.axis import Axis
 from servobench.hil.loop.loop import LoopOutcome
@@ -120,16 +120,19 @@ class Conclusion:
             outcome = _cut_short(outcome, "it ended by a defect of this program", VerdictKind.DEFECT)
         return replace(outcome, drives=tuple(self._ends.values()), emergencies=tuple(self._emergencies))
 
-    def ended(self, ended: LoopOutcome, interrupted_by: str, loop: LoopConfig, **notes: Any) -> None:
-        """Note a regular end of the loop; ``notes``: fields of :class:`RunOutcome`.
+    def ended(
+        self, ended: LoopOutcome, interrupted_by: str, period: Duration, horizon: Duration, **notes: Any
+    ) -> None:
+        """Note a regular end of the loop; ``horizon``: how long readings are waited for; ``notes``: fields of
+        :class:`RunOutcome`.
 
         A host that comes back later than readings are waited for has not seen the end of its run.
         """
         self._outcome = replace(self._outcome, **notes)
-        late = ended.ended_at - ended.last_due_at - loop.period
+        late = ended.ended_at - ended.last_due_at - period
         if ended.interrupted:
             self._outcome = _cut_short(self._outcome, interrupted_by, VerdictKind.INTERRUPTED)
-        elif late > loop.horizon:
+        elif late > horizon:
             reason = (
                 f"the host was away at the end, and came back {late / NS_PER_MS:.0f} ms after the last cycle"
             )

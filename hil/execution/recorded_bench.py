@@ -14,7 +14,6 @@ from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.timebase import duration_s
 from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.configuration.config_axis import DriveConfig
-from servobench.hil.configuration.mode_checks import quantity_of
 from servobench.hil.configuration.references import Load, Reference, SignalFile
 from servobench.hil.execution.assembly import AxisCode
 from servobench.hil.recording.logger_process import RecordingFailed
@@ -102,7 +101,7 @@ def review_plan(
             certified.get(name),
             drive.limits.torque_max_nm,
             drive.limits.speed_max_rpm * RAD_S_PER_RPM,
-            quantity_of(config, name).value,
+            config.quantity(name).value,
             drive.mode,
         )
         for name, drive in sorted(config.drive.items())

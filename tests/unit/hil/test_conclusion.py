@@ -102,7 +102,7 @@ def test_a_host_that_comes_back_later_than_readings_are_waited_for_has_not_seen_
     last = Instant(3600 * NS_PER_S)
     loop = LoopOutcome(10, 0, Instant(0), last, Instant(last + round(late_ms * NS_PER_MS)), False)
     conclusion = Conclusion(["axis1"], None, 10)
-    conclusion.ended(loop, "", SETTINGS, bus_load_percent=50.0)
+    conclusion.ended(loop, "", SETTINGS.period, SETTINGS.horizon, bus_load_percent=50.0)
     conclusion.came_to_its_end()
     found = conclusion.outcome
     assert (found.completed, found.bus_load_percent) == (completed, 50.0)
@@ -113,7 +113,7 @@ def test_a_run_of_which_no_end_was_told_was_ended_by_a_defect() -> None:
     conclusion = Conclusion(["axis1"], None, 10)
     loop = LoopOutcome(10, 0, Instant(0), Instant(9 * NS_PER_MS), Instant(10 * NS_PER_MS), False)
     causes = [conclusion.outcome.cause]
-    conclusion.ended(loop, "", SETTINGS)
+    conclusion.ended(loop, "", SETTINGS.period, SETTINGS.horizon)
     causes.append(conclusion.outcome.cause)
     assert not conclusion.outcome.completed
     conclusion.failed(BadInput("bench.toml", "", 1, "2"))

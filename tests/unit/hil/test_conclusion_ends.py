@@ -154,7 +154,7 @@ def ended(late_ms: float, interrupted: bool = False, **settings: Any) -> tuple[b
     last = Instant(NS_PER_S)
     loop = LoopOutcome(10, 0, Instant(0), last, Instant(last + round(late_ms * NS_PER_MS)), interrupted)
     conclusion = Conclusion(["axis1"], None, 10)
-    conclusion.ended(loop, "SIGTERM", config)
+    conclusion.ended(loop, "SIGTERM", config.period, config.horizon)
     conclusion.came_to_its_end()
     outcome = conclusion.outcome
     return outcome.completed, outcome.reason, outcome.cause

@@ -215,8 +215,7 @@ def test_a_sync_handed_over_ticks_too_late_is_that_of_the_tick_it_falls_into(sto
                 self.at = Instant(self.at + 2_300_000)
             return super().send_sync()
 
-    records: list[CycleRecord] = []
-    drive = FakeDrive(lambda cycle: 300_000)
+    records, drive = list[CycleRecord](), FakeDrive(lambda cycle: 300_000)
     bus = StoppedBus([drive])
     loop = make_loop(bus, [make_axis(drive, records)])
     loop.calibrate()
