@@ -102,7 +102,7 @@ def test_a_velocity_that_scatters_is_watched_over_a_longer_path(tmp_path: Path) 
 
 
 def test_a_turn_is_right_whenever_its_readings_arrive(tmp_path: Path) -> None:
-    truth, result, _ = unknown_world(1, tmp_path, faults=LATE, period_us=10_000)
+    truth, result, _ = unknown_world(1, tmp_path, faults=LATE, period_us=10_000, last_step="turn")
     (turn,) = (record for record in result.records if record.name == "turn")
     assert turn.outcome.figures["units_per_turn"] == pytest.approx(math.tau / truth.position_rad, rel=3e-4)
 
@@ -210,7 +210,7 @@ def test_a_dry_run_writes_nothing_and_moves_nothing(tmp_path: Path) -> None:
 
 
 def test_store_keeps_the_settings_and_says_so(tmp_path: Path) -> None:
-    truth, result, _ = unknown_world(4, tmp_path, period_us=4000, store=True)
+    truth, result, _ = unknown_world(4, tmp_path, period_us=4000, store=True, last_step="turn")
     assert result.left.stored
     assert result.left.restoration is None
     assert "stored in the drive" in (tmp_path / REPORT_FILE).read_text()
@@ -219,7 +219,9 @@ def test_store_keeps_the_settings_and_says_so(tmp_path: Path) -> None:
 
 def test_a_drive_that_does_not_store_is_not_said_to_have_stored(tmp_path: Path) -> None:
     said: list[str] = []
-    _, result, _ = unknown_world(4, tmp_path, period_us=4000, store=True, lacks=["1010"], tell=said.append)
+    _, result, _ = unknown_world(
+        4, tmp_path, period_us=4000, store=True, lacks=["1010"], tell=said.append, last_step="turn"
+    )
     assert not result.left.stored
     assert not result.passed
     assert any("hil restore" in text for text in said), "what puts it back"
@@ -261,7 +263,7 @@ def test_without_a_terminal_somebody_has_to_say_yes(tmp_path: Path) -> None:
 
 def test_half_of_the_readings_lost_is_no_step_done(tmp_path: Path) -> None:
     half = [{"direction": "drive_to_host", "probability": 0.5}]
-    _, result, _ = unknown_world(4, tmp_path, faults={"loss": half})
+    _, result, _ = unknown_world(4, tmp_path, faults={"loss": half}, last_step="polarity")
     polarity = next(record for record in result.records if record.name == "polarity")
     assert polarity.verdict is StepVerdict.FAILED
     assert "readings were lost" in polarity.reason
@@ -313,7 +315,9 @@ def test_counts_are_not_taken_against_the_drive_without_a_turn(tmp_path: Path) -
     counts = round(4.0 * math.tau / truth.position_rad)
     plate = {**truth.nameplate, "encoder": {"counts_per_revolution": counts}}
     only = supported_mode_bit(Mode.CYCLIC_SYNCHRONOUS_TORQUE)
-    _, result, _ = unknown_world(5, tmp_path, modes=only, plate=plate, trust_nameplate=False, period_us=4000)
+    _, result, _ = unknown_world(
+        5, tmp_path, modes=only, plate=plate, trust_nameplate=False, period_us=4000, last_step="turn"
+    )
     step = next(record for record in result.records if record.name == "turn")
     assert step.verdict is StepVerdict.FAILED
     assert step.reason.startswith("encoder: the nameplate says")

@@ -171,14 +171,18 @@ class Rig:
             if variable.writable and variable.readable and entry.index != CLOCK
         }
 
-    def commission(self, at_step: str = "", arm: Callable[[], None] = lambda: None) -> Commissioned:
-        """Run it; ``arm`` is called at the beginning of ``at_step``."""
+    def commission(
+        self, at_step: str = "", arm: Callable[[], None] = lambda: None, last_step: str = ""
+    ) -> Commissioned:
+        """Run it; ``arm`` is called at the beginning of ``at_step``. ``last_step``: none behind that one."""
 
         def steps() -> Sequence[Step]:
-            return [
+            wrapped = [
                 InTheMiddle(step, arm if step.name == at_step else lambda: None, self.sent.__setitem__)
                 for step in all_steps()
             ]
+            names = [step.name for step in wrapped]
+            return wrapped[: names.index(last_step) + 1] if last_step else wrapped
 
         return commission(self.request, self.world, Dialog(self.said.append), self.stop, steps=steps)
 
@@ -346,7 +350,7 @@ def test_a_drive_that_was_operational_is_so_again(rig: Rig) -> None:
     objects.write(0x1017, 0, "H", 100)
     network.command(NmtCommand.START, 1)
     before = rig.memory()
-    rig.commission()
+    rig.commission(last_step="polarity")
     assert read_journal(rig.request.journal).head.nmt == NmtState.OPERATIONAL
     assert rig.memory() == before
     network.status(1)
