@@ -33,6 +33,8 @@ INDENTED = re.compile(r"^    (?:hil|pytest) [a-z-].*$", re.MULTILINE)
 END = "end of the file"
 WITHOUT_WORDS = str.maketrans("", "", "│╭╮╰╯─")
 """A frame around a text depends on the width of the terminal."""
+DID = 'did() { [ -z "${TYPED:-}" ] || echo "$((SECONDS - from)) s  $1" >>"$TYPED"; from=$SECONDS; }; from=0'
+"""Into the file that TYPED names, if any, goes each command that did what it should, and its seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +96,7 @@ def shell_blocks(markdown: str) -> list[Block]:
 
 def script(parts: list[Block]) -> str:
     """What bash is to run: the files as they are to be written, and the commands held to their status."""
-    text = ["set -uo pipefail", "trap 'kill $(jobs -p) 2>/dev/null; wait' EXIT"]
+    text = ["set -uo pipefail", "trap 'kill $(jobs -p) 2>/dev/null; wait' EXIT", DID]
     for block in parts:
         if block.file is not None:
             into = ">>" if block.mark.startswith("append") else ">"
@@ -113,11 +115,13 @@ def _held(line: str, number: int) -> str:
         return (
             f"{command[:-1]} >served.{number} 2>&1 &\n"
             f"until grep -q 'Ctrl-C ends it' served.{number}; do\n"
-            f"  kill -0 $! || {{ cat served.{number}; echo ended early: {told}; exit 1; }}; sleep 0.05\ndone"
+            f"  kill -0 $! || {{ cat served.{number}; echo ended early: {told}; exit 1; }}; sleep 0.05\n"
+            f"done\ndid {told}"
         )
     return (
         f"{command}\n"
-        f"status=$?; [ $status -eq {wanted} ] || {{ echo status $status, not {wanted}: {told}; exit 1; }}"
+        f"status=$?; [ $status -eq {wanted} ] || {{ echo status $status, not {wanted}: {told}; exit 1; }}\n"
+        f"did {told}"
     )
 
 

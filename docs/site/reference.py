@@ -65,7 +65,7 @@ def limits_page() -> str:
         "Keys of `[verdict]` in a bench file, each an upper limit, each optional.",
     ]
     lines += ["What makes a run pass beside them: [verdict](../verdict.md).", ""]
-    lines += ["| key | value | figure | |", "|---|---|---|---|"]
+    lines += ["| key | value | figure | meaning |", "|---|---|---|---|"]
     for name, limited in LIMITED.items():
         bounds = ", ".join(f"{_BOUNDS[bound]} {value}" for bound, value in limited.bounds.items())
         lines.append(f"| `{name}` | number {bounds} | {limited.title} | {limited.meaning} |")
@@ -182,7 +182,7 @@ def _keys(model: type[BaseModel]) -> Iterator[str]:
         if name != "kind" and not list(_models(field.annotation))
     ]
     if rows:
-        yield from ("| key | value | default | |", "|---|---|---|---|", *rows, "")
+        yield from ("| key | value | default | meaning |", "|---|---|---|---|", *rows, "")
 
 
 def _type(field: FieldInfo) -> str:

@@ -41,7 +41,7 @@ def losses(asked: LossesOptions) -> None:
     was made for. The load comes just after a sample.
 
     Examples:
-      hil analyse losses fused.toml --network network.toml
+      hil analyse losses examples/controllers/ling2012-fused.toml --network n.toml
     """
     from servobench.hil.configuration.bench_file import load_controller
     from servobench.hil.configuration.network_file import commands_unknown, load_network

@@ -59,7 +59,7 @@ def review(
     Examples:
       hil review runs/monday
       hil review runs/monday --report monday.html
-      hil review --log press.asc --bench bench.toml
+      hil review --log press.asc --bench bench.toml   # the log of a real bus
     """
     if log is not None:
         if run is not None or bench is None or against is not None or signers is not None:
