@@ -80,7 +80,7 @@ def measure(asked: MeasureOptions) -> None:
 
     Examples:
       hil measure --bus simulated --node 1 --cycles 1000 --out network.toml
-      hil measure --bus simulated --node 1 --enable --motor motor.toml --out n.toml
+      hil measure --bus simulated --node 1 --enable --cycles 1000 --out n.toml
     """
     from servobench.drivers.rotation import RAD_S_PER_RPM
     from servobench.hil.execution.bench import RUNS_FOLDER
