@@ -207,8 +207,8 @@ class Simulation(Section):
     motor: MotorFile | None = None
     """The motor on its shaft, as a motor file or its tables; default: ``drive.NAME.motor``."""
     like: DriveModel | None = None
-    """Its supply, protection and encoder, as the path of a file or its tables; default: a DC link without
-    end, no protection, an encoder without errors."""
+    """Its supply, protection, inverter, current sensors and encoder, as the path of a file or its tables;
+    default: a DC link without end, no protection, no errors."""
     rehearse: int | None = Field(default=None, ge=0)
     """Seed of `hil rehearse`, whose drive with its motor and encoder is simulated instead."""
 

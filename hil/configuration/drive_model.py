@@ -1,5 +1,5 @@
-"""Files of simulated drives: their source, ``[supply]``, limits of their power stage, ``[protection]``, and
-their ``[encoder]``.
+"""Files of simulated drives: their source, ``[supply]``, limits of their power stage, ``[protection]``,
+their ``[inverter]``, ``[current_sensor]`` and ``[encoder]``.
 
 ``like`` of ``[drive.NAME.simulation]`` names one, or has its tables.
 """
@@ -14,7 +14,14 @@ from servobench.drivers.bounded_file import NamedBy
 from servobench.hil.configuration.config_files import Section, load_file
 from servobench.hil.configuration.quantities import Current, Resistance, Voltage
 from servobench.virtual_bus.drive.encoder import Encoder, SineErrors, SpeedMethod, SpeedSensing
-from servobench.virtual_bus.drive.power_stage import Chopper, Overload, Protection, Supply
+from servobench.virtual_bus.drive.power_stage import (
+    Chopper,
+    CurrentSensors,
+    Inverter,
+    Overload,
+    Protection,
+    Supply,
+)
 
 _TIME_CONSTANT_MIN_S = 1e-5
 """Of resistance and capacitance: a period of 62.5 us is then cut into 63 steps."""
@@ -157,7 +164,7 @@ class EncoderSpeedTable(Section):
     timer_ns: float = Field(default=10.0, ge=0.1, le=10_000.0)
     """Step of the timer of the edges."""
     bandwidth_rad_s: float = Field(default=1000.0, ge=1.0, le=4000.0)
-    """Of the observer."""
+    """Bandwidth of the observer."""
 
     @property
     def parameters(self) -> SpeedSensing:
@@ -173,7 +180,7 @@ class EncoderTable(Section):
 
     lines: int = Field(default=1024, ge=1, le=1 << 20, description="signal periods of a turn")
     sine_offset_percent: OffsetPercent = 0.0
-    """Of the cosine's amplitude, as are the next two; 1 % is up to 0.57 degrees of a line, once a line."""
+    """Share of the cosine's amplitude, as are the next two; 1 % makes up to 0.57 degrees of a line."""
     cosine_offset_percent: OffsetPercent = 0.0
     sine_gain_percent: OffsetPercent = 0.0
     """By how much the sine's amplitude exceeds the cosine's: an error twice a line."""
@@ -205,20 +212,76 @@ class EncoderTable(Section):
         return None if encoder == Encoder(self.lines) else encoder
 
 
+GainPercent = Annotated[float, Field(ge=-20.0, le=20.0)]
+
+
+class CurrentSensorTable(Section):
+    """``[current_sensor]``: the sensors in phases a and b; the third current is what these leave."""
+
+    range_a: Current = Field(description="largest current of a phase that they tell, A peak")
+    bits: int | None = Field(default=None, ge=4, le=24)
+    """Resolution of the converter over -range_a to range_a; default: without steps."""
+    gain_error_a_percent: GainPercent = 0.0
+    """By how much the current of phase a is told too large."""
+    gain_error_b_percent: GainPercent = 0.0
+    offset_a_percent: GainPercent = 0.0
+    """What phase a tells of no current, of range_a."""
+    offset_b_percent: GainPercent = 0.0
+    noise_percent_rms: float = Field(default=0.0, ge=0.0, le=10.0)
+    """Share of range_a, in each phase and each inner period."""
+
+    @property
+    def parameters(self) -> CurrentSensors:
+        """The current sensors of the simulated drive."""
+        return CurrentSensors(
+            self.range_a,
+            self.bits,
+            self.gain_error_a_percent / 100.0,
+            self.gain_error_b_percent / 100.0,
+            self.offset_a_percent / 100.0 * self.range_a,
+            self.offset_b_percent / 100.0 * self.range_a,
+            self.noise_percent_rms / 100.0 * self.range_a,
+        )
+
+
+class InverterTable(Section):
+    """``[inverter]``: half bridges that switch once an inner period."""
+
+    dead_time_us: float = Field(default=0.0, ge=0.0, le=5.0)
+    """Between the two switches of a half bridge; takes voltage by the sign of each phase's current."""
+    compensated_percent: float = Field(default=0.0, ge=0.0, le=100.0)
+    """Share of the dead time that the drive takes back."""
+    zero_band_a: float = Field(default=0.1, ge=0.0, le=1000.0)
+    """Peak of the ripple: a smaller current of a phase loses voltage in proportion, A."""
+    output_percent: float = Field(default=100.0, ge=10.0, le=100.0)
+    """Share of the largest voltage that the drive uses."""
+
+    @property
+    def parameters(self) -> Inverter:
+        """The inverter of the simulated drive."""
+        left = 1.0 - self.compensated_percent / 100.0
+        return Inverter(left * self.dead_time_us * 1e-6, self.zero_band_a, self.output_percent / 100.0)
+
+
 class DriveModel(Section):
     """A whole file of a simulated drive."""
 
     supply: SupplyTable | None = Field(default=None, description="the table [supply]")
     protection: ProtectionTable | None = Field(default=None, description="the table [protection]")
     encoder: EncoderTable | None = Field(default=None, description="the table [encoder]")
+    inverter: InverterTable | None = Field(default=None, description="the table [inverter]")
+    current_sensor: CurrentSensorTable | None = Field(default=None, description="the table [current_sensor]")
 
     @property
     def parameters(self) -> dict[str, Any]:
         """Fields of :class:`servobench.virtual_bus.drive.servo_parameters.DriveParameters`."""
         encoder = EncoderTable() if self.encoder is None else self.encoder
+        inverter = InverterTable() if self.inverter is None else self.inverter
         return {
             "supply": None if self.supply is None else self.supply.parameters,
             "protection": None if self.protection is None else self.protection.parameters,
+            "inverter": inverter.parameters,
+            "current_sensors": None if self.current_sensor is None else self.current_sensor.parameters,
             "encoder": encoder.parameters,
             "speed": encoder.speed.parameters,
         }

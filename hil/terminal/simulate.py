@@ -48,7 +48,7 @@ class SimulateOptions:
     motor: DriveMotorOption = None
     like: Annotated[
         Path | None,
-        valued("--like", "FILE", "Supply, protection, encoder: drive.NAME.simulation.like of a bench."),
+        valued("--like", "FILE", "Supply, sensors and the like: drive.NAME.simulation.like of a bench."),
     ] = None
     faults: DriveFaultsOption = None
     eds: Annotated[

@@ -59,6 +59,7 @@ from servobench.virtual_bus.core.native import (
 from servobench.virtual_bus.drive.encoder import Encoder, SineErrors, SpeedMethod, SpeedSensing
 from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
 from servobench.virtual_bus.drive.load_table import LoadTable
+from servobench.virtual_bus.drive.power_stage import CurrentSensors, Inverter
 from servobench.virtual_bus.frame import Frame
 from tests.core_fuzz.devices import devices
 from tests.core_fuzz.fates import ODD, Refused, drawn_judge, odd_number
@@ -120,6 +121,8 @@ def drive(draw: random.Random) -> None:
         encoder_counts_per_revolution=draw.choice([16, 1000, 65_536, 1 << 30]),
         controller_q=_controller(draw, rate_hz) if draw.random() < 0.3 else None,
         encoder=_encoder(draw, rate_hz) if draw.random() < 0.5 else None,
+        inverter=Inverter(draw.choice([0.0, 0.5 / rate_hz]), draw.choice([0.0, 1.0]), draw.uniform(0.1, 1.0)),
+        current_sensors=_sensors(draw) if draw.random() < 0.5 else None,
         speed=SpeedSensing(
             draw.choice(list(SpeedMethod)),
             draw.choice([None, 10.0 ** draw.uniform(0.0, 5.0)]),
@@ -147,6 +150,13 @@ def _encoder(draw: random.Random, rate_hz: int) -> Encoder:
     lines, eccentricity_rad = draw.choice([1, 1000, 1 << 20]), draw.choice([0.0, 0.2])
     delay_s = draw.random() / rate_hz
     return Encoder(lines, draw.choice([None, sines]), eccentricity_rad, draw.uniform(-7.0, 7.0), delay_s)
+
+
+def _sensors(draw: random.Random) -> CurrentSensors:
+    range_a = 10.0 ** draw.uniform(-3.0, 3.0)
+    gains, offset_a = (draw.uniform(-0.2, 0.2), draw.uniform(-0.2, 0.2)), range_a * draw.uniform(-0.2, 0.2)
+    noise_a = draw.choice([0.0, 0.1 * range_a])
+    return CurrentSensors(range_a, draw.choice([None, 4, 24]), *gains, offset_a, 0.0, noise_a)
 
 
 def _mechanism(draw: random.Random, motor: PmsmParameters) -> Mechanism:

@@ -13,6 +13,11 @@
 static const int64_t NS_PER_S = 1000000000;
 static const double PER_TURN = 1.0 / TURN_RAD;
 
+static double link_voltage(const InnerLoops *self)
+{
+    return self->dc_link.active ? self->link.volts : self->dc_link.source_v;
+}
+
 /* One inner period of the motor under the inverter's present output.
 
    Inverter off: the diodes drive the current down against the DC link, far faster than R or the back-EMF
@@ -30,6 +35,13 @@ static void turn_motor(InnerLoops *self, double load_nm)
             .live = 1.0,
             .turning = 1.0,
         };
+        if (self->inverter.dead_share != 0.0) {
+            Pair current = {shaft->current_d_a, shaft->current_q_a};
+            SineCosine rotor = sine_cosine(p->pole_pairs * shaft->angle_rad);
+            Pair error = dead_time_voltage(&self->inverter, current, rotor, self->phase_amplitude, link_voltage(self));
+            voltage.d += error[0];
+            voltage.q += error[1];
+        }
         advance_machine(shaft, &self->load_side, p, &self->mechanism, voltage, load_nm, 0.0);
         return;
     }
@@ -122,9 +134,16 @@ static double sample(InnerLoops *self)
         within_turn = state->count - resolution->counts * floor(state->count / resolution->counts);
     state->speed_measured_rad_s += p->speed_filter * (raw_speed - state->speed_measured_rad_s);
     double angle = (within_turn + 0.5) * resolution->rad_per_count * self->motor.pole_pairs;
-    SineCosine turn = sine_cosine(self->motor.pole_pairs * shaft->angle_rad - angle);
-    state->current_d_measured_a = turn.cosine * shaft->current_d_a - turn.sine * shaft->current_q_a;
-    state->current_q_measured_a = turn.sine * shaft->current_d_a + turn.cosine * shaft->current_q_a;
+    Pair current = {shaft->current_d_a, shaft->current_q_a};
+    double electrical = self->motor.pole_pairs * shaft->angle_rad;
+    SineCosine turn = sine_cosine(electrical - angle);
+    if (self->sensors.active) {
+        SineCosine rotor = sine_cosine(electrical);
+        current = sensed_current(&self->sensors, current, rotor, self->phase_amplitude, self->ticks);
+        turn = sine_cosine(-angle);
+    }
+    state->current_d_measured_a = turn.cosine * current[0] - turn.sine * current[1];
+    state->current_q_measured_a = turn.sine * current[0] + turn.cosine * current[1];
     state->torque_measured_nm =
         motor_torque(&self->motor, state->current_d_measured_a, state->current_q_measured_a);
     return angle;
@@ -218,6 +237,7 @@ static void current_loops(InnerLoops *self, double i_q_wanted)
     double circle = self->motor.voltage_max_v;
     if (self->dc_link.active)
         circle = self->dc_link.circle_share * self->link.volts;
+    circle *= self->inverter.output_share;
     double out_d = within(v_d, -circle, circle);
     double rest_q = sqrt(circle * circle - out_d * out_d);
     double out_q = within(v_q, -rest_q, rest_q);
@@ -248,8 +268,7 @@ static bool may_be_on(InnerLoops *self)
         return on;
     const LoopState *state = &self->state;
     double current_a2 = square(state->current_d_measured_a) + square(state->current_q_measured_a);
-    double link_v = self->dc_link.active ? self->link.volts : self->dc_link.source_v;
-    bool tripped = watch(&self->watched, &self->protection, on, link_v, current_a2);
+    bool tripped = watch(&self->watched, &self->protection, on, link_voltage(self), current_a2);
     return on && !tripped;
 }
 

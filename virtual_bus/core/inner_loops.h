@@ -11,6 +11,7 @@
 #include "load_table.h"
 #include "mechanism.h"
 #include "motor.h"
+#include "phases.h"
 #include "protection.h"
 
 enum { CONTROLLER_ORDER_MAX = 8 };
@@ -82,6 +83,9 @@ typedef struct InnerLoops {
     LoadSide load_side;
     DcLink dc_link;
     LinkState link;
+    double phase_amplitude; /* A of a phase over A of the motor's transform */
+    CurrentSensors sensors;
+    Inverter inverter;
     Protection protection;
     ProtectionState watched;
     LoopState state;

@@ -25,6 +25,7 @@ static PyObject *make(PyTypeObject *type, PyObject *arguments, PyObject *names)
     InnerLoops *loops = loops_of(self);
     loops->loop.controller_d.order = loops->loop.controller_q.order = -1;
     loops->asked = 1;
+    loops->inverter.output_share = loops->phase_amplitude = 1.0;
     loops->rate_hz = loops->motion_ticks = 1; /* divided by */
     loops->scale = (UserScale){0.0, 1.0, 1.0, 1.0};
     return self;
@@ -375,6 +376,19 @@ static PyMemberDef members[] = {
     PARAMETER(link, chopping),
     PARAMETER(link, supplied_j),
     PARAMETER(link, chopped_j),
+    NUMBER("phase_amplitude", phase_amplitude),
+    {"sensors", T_INT, PLACE(sensors.active), 0, NULL},
+    NUMBER("sensor_scale_a", sensors.scale_a),
+    NUMBER("sensor_scale_b", sensors.scale_b),
+    NUMBER("sensor_offset_a", sensors.offset_a),
+    NUMBER("sensor_offset_b", sensors.offset_b),
+    NUMBER("sensor_range_a", sensors.range_a),
+    NUMBER("sensor_step_a", sensors.step_a),
+    NUMBER("sensor_noise_a", sensors.noise_a),
+    {"sensor_seed", T_LONGLONG, PLACE(sensors.seed), 0, NULL},
+    PARAMETER(inverter, dead_share),
+    PARAMETER(inverter, zero_band_a),
+    PARAMETER(inverter, output_share),
     {"protected", T_INT, PLACE(protection.active), 0, NULL},
     PARAMETER(protection, over_v),
     PARAMETER(protection, under_v),

@@ -95,6 +95,28 @@ class InnerLoops:
     link_step_s: float
 
     # ---- protection: parameters; currents are amplitudes in the motor's transform ----
+    phase_amplitude: float
+    """A of a phase over A of the motor's transform."""
+    sensors: int
+    """0: the currents are known as they are; the next seven then count for nothing."""
+    sensor_scale_a: float
+    """Told over true, in phase a; the next one in phase b."""
+    sensor_scale_b: float
+    sensor_offset_a: float
+    """In phase a, A; the next one in phase b."""
+    sensor_offset_b: float
+    sensor_range_a: float
+    """A of a phase, as are the next two."""
+    sensor_step_a: float
+    """0: none."""
+    sensor_noise_a: float
+    """rms."""
+    sensor_seed: int
+    dead_share: float
+    """What dead time takes of an inner period after compensation; 0: none."""
+    zero_band_a: float
+    output_share: float
+    """Share of the voltage circle that is used."""
     protected: int
     over_v: float
     under_v: float
@@ -123,7 +145,7 @@ class InnerLoops:
     """0: difference of counts, 1: time between edges, 2: observer."""
     lines: float
     sine_offset: float
-    """Of the cosine's amplitude, as are the next three."""
+    """Share of the cosine's amplitude, as are the next three."""
     cosine_offset: float
     sine_in_phase: float
     sine_across: float

@@ -29,7 +29,7 @@ class SpeedSensing:
     timer_hz: float | None = None
     """Clock that times the edges; None: without steps."""
     bandwidth_rad_s: float = 1000.0
-    """Of the observer, rad/s."""
+    """Bandwidth of the observer."""
 
 
 BY_DIFFERENCE: Final = SpeedSensing()

@@ -33,7 +33,14 @@ from servobench.virtual_bus.drive.encoder import (
 )
 from servobench.virtual_bus.drive.load_table import LoadTable
 from servobench.virtual_bus.drive.mechanism import fill_mechanism, steps_in
-from servobench.virtual_bus.drive.power_stage import Protection, Supply, fill_power_stage
+from servobench.virtual_bus.drive.power_stage import (
+    IDEAL_INVERTER,
+    CurrentSensors,
+    Inverter,
+    Protection,
+    Supply,
+    fill_power_stage,
+)
 
 _STEP_ANGLE_MAX = 0.25
 """Largest (R/L + electrical speed) * step, rad: keeps the error of a step below 1e-5 of the signal."""
@@ -121,6 +128,9 @@ class FirmwareParameters:
     """None: a DC link without end at the motor's ``dc_bus_voltage_v``."""
     protection: Protection | None = None
     """None: nothing of the power stage is watched."""
+    inverter: Inverter = IDEAL_INVERTER
+    current_sensors: CurrentSensors | None = None
+    """None: the currents are known as they are."""
 
     def __post_init__(self) -> None:
         """Error: ValueError for a setting with which the loops could not work."""
@@ -135,6 +145,9 @@ class FirmwareParameters:
         check_controller(self.controller_q, self.inner_rate_hz)
         if not (self.resistance_factor > 0.0 and self.inductance_factor > 0.0):
             raise ValueError("resistance_factor and inductance_factor: more than 0 expected")
+        if not 0.0 <= self.inverter.dead_time_s * self.inner_rate_hz <= 0.5:
+            expected = f"at most half an inner period, {5e5 / self.inner_rate_hz:g} us, expected"
+            raise ValueError(f"dead time {self.inverter.dead_time_s * 1e6:g} us: {expected}")
         check_encoder(self.inner_rate_hz, self.encoder, self.speed)
 
     @property
@@ -160,7 +173,15 @@ class Firmware:
         self.speed_bandwidth_rad_s = math.tau * parameters.speed_bandwidth_hz
         self.inner.rate_hz, self.inner.motion_ticks = parameters.inner_rate_hz, self.motion_ticks
         fill_machine(self.inner, self._turning(), self.tick_s)
-        fill_power_stage(self.inner, motor, self.tick_s, parameters.supply, parameters.protection)
+        fill_power_stage(
+            self.inner,
+            motor,
+            self.tick_s,
+            parameters.supply,
+            parameters.protection,
+            parameters.inverter,
+            parameters.current_sensors,
+        )
         fill_controllers(self.inner, parameters.controller_d, parameters.controller_q)
         self._set_gains()
         self._set_limits()

@@ -91,6 +91,38 @@ class Protection:
     overload: Overload | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class CurrentSensors:
+    """In phases a and b, between motor and drive; A of a phase, peak."""
+
+    range_a: float
+    """Larger currents are told as that."""
+    bits: int | None = None
+    """Resolution of the converter over twice the range; None: without steps."""
+    gain_error_a: float = 0.0
+    gain_error_b: float = 0.0
+    offset_a: float = 0.0
+    """A, of the sensor in phase a."""
+    offset_b: float = 0.0
+    noise_a_rms: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Inverter:
+    """Half bridges that switch once an inner period."""
+
+    dead_time_s: float = 0.0
+    """After the drive's own compensation."""
+    zero_band_a: float = 0.0
+    """Peak of the ripple: a smaller current of a phase loses in proportion, A."""
+    output_share: float = 1.0
+    """Share of the voltage circle that is used."""
+
+
+IDEAL_INVERTER: Final = Inverter()
+"""The default of a simulated drive."""
+
+
 def current_per_rms(motor: PmsmParameters) -> float:
     """The amplitude in the motor's transform of 1 A rms of a phase."""
     return math.sqrt(3.0 if motor.transform is Transform.POWER_INVARIANT else 2.0)
@@ -102,13 +134,30 @@ def fill_power_stage(
     period_s: float,
     supply: Supply | None,
     protection: Protection | None,
+    inverter: Inverter,
+    sensors: CurrentSensors | None,
 ) -> None:
-    """Give ``inner`` link and protection."""
+    """Give ``inner`` link, protection, inverter and current sensors."""
+    inner.phase_amplitude = math.sqrt(2.0) / current_per_rms(motor)
+    inner.dead_share = inverter.dead_time_s / period_s
+    inner.zero_band_a = inverter.zero_band_a
+    inner.output_share = inverter.output_share
+    if sensors is not None:
+        _fill_sensors(inner, sensors)
     inner.source_v = motor.dc_bus_voltage_v
     if supply is not None:
         _fill_link(inner, motor, period_s, supply)
     if protection is not None:
         _fill_protection(inner, current_per_rms(motor), period_s, protection)
+
+
+def _fill_sensors(inner: InnerLoops, sensors: CurrentSensors) -> None:
+    inner.sensors = 1
+    inner.sensor_range_a = sensors.range_a
+    inner.sensor_step_a = 0.0 if sensors.bits is None else 2.0 * sensors.range_a / 2.0**sensors.bits
+    inner.sensor_scale_a, inner.sensor_scale_b = 1.0 + sensors.gain_error_a, 1.0 + sensors.gain_error_b
+    inner.sensor_offset_a, inner.sensor_offset_b = sensors.offset_a, sensors.offset_b
+    inner.sensor_noise_a = sensors.noise_a_rms
 
 
 def _fill_link(inner: InnerLoops, motor: PmsmParameters, period_s: float, supply: Supply) -> None:

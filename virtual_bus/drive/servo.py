@@ -43,7 +43,7 @@ from servobench.virtual_bus.drive.operation_modes import MODES
 from servobench.virtual_bus.drive.power_stage import TRIP_CODES, Trip
 from servobench.virtual_bus.drive.power_state import MotorAction, PowerStateMachine
 from servobench.virtual_bus.drive.servo_objects import ServoObjects
-from servobench.virtual_bus.drive.servo_parameters import DriveParameters, device_options
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters, device_options, sensor_seed
 from servobench.virtual_bus.drive.simulated_load import SimulatedLoad
 from servobench.virtual_bus.drive.user_units import UserUnits
 
@@ -387,4 +387,5 @@ class SimulatedServo(CanopenDevice):
         Error: ValueError for a lack that cannot be."""
         drive = drive or DriveParameters()
         self.drive = ServoApplication(motor, drive)
+        self.drive.firmware.inner.sensor_seed = sensor_seed(node_id, seed)
         super().__init__(node_id, self.drive, device_options(node_id, drive, seed), store, vendor)
