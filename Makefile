@@ -24,6 +24,8 @@
 #                    most SECONDS
 #   make outages     have the adapter of drawn benches take no frames, be down and lose what comes, in simulated time
 #                    and on a hub: no false pass, nothing unaccounted, no drive left turning; SECONDS each
+#   make attack      certify peaks of drawn loops over lost readings and commands, and have another simulation search
+#                    for more, for at most SECONDS
 #   make sheets      have hil eds, hil commission and hil run at each of 40 made-up data sheets, and before them at
 #                    vendors' own (SHEETS=FOLDER), on the hub, with a third party that writes every frame down;
 #                    for at most SECONDS (1800 unless said), of the made-up ones from FIRST on
@@ -65,7 +67,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup core core-debug core-fuzz compile pure wheel wheels demo check format test unit edits stranger test-dask test-vcan test-can truth swarm rehearsals sheets mistakes strangers outages mutate pictures exits bench instructions docs lock clean
+.PHONY: help setup core core-debug core-fuzz compile pure wheel wheels demo check format test unit edits stranger test-dask test-vcan test-can truth swarm rehearsals sheets mistakes strangers outages attack mutate pictures exits bench instructions docs lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -197,6 +199,9 @@ strangers: $(TOOLS) compile
 outages: $(TOOLS) compile
 	@$(BIN)/python -m tests.outages --seconds $(SECONDS)
 	@$(BIN)/python -m tests.outages --hub --seconds $(SECONDS)
+
+attack: $(TOOLS) compile
+	@$(BIN)/python -m tests.attack --seconds $(SECONDS)
 
 # Vendors' files are not in the repository: where the folder is missing they are left out, and the table says so.
 SHEETS ?= ../shared/eds

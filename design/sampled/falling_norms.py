@@ -17,6 +17,7 @@ from scipy.linalg import cholesky
 
 from servobench.design.delay.delay_loop import Array
 from servobench.design.delay.lmi import LmiProblem, MatrixInequality, Unknowns, last_answer
+from servobench.design.errors import NoSolution
 
 _ROWS = 4
 """Error rows of an edge given to the solver; the norms are then scaled to all."""
@@ -41,6 +42,29 @@ class NormedEdge(NamedTuple):
     """(R, k)."""
 
 
+class Norms:
+    """Norms of one graph, one that is smallest at the begin and others that are at states reached later."""
+
+    def __init__(self, edges: Sequence[NormedEdge], nodes: int, starts: Array) -> None:
+        """Raises NoSolution where there are none."""
+        self._edges, self._nodes = edges, nodes
+        at = np.repeat(np.arange(nodes), len(starts))
+        first = falling_norms(edges, nodes, at, np.tile(starts, (nodes, 1)))
+        if first is None:
+            raise NoSolution("certificate of the peak", "no norms were found that fall along every sequence")
+        self.first, self._all = first, [first]
+
+    def sizes(self, nodes: NDArray[np.intp], d: Array) -> Array:
+        """Return (N,): what no error behind each of ``d`` (N, k) exceeds, by the best norm."""
+        return np.asarray(np.min([norms.sizes(nodes, d) for norms in self._all], axis=0))
+
+    def refine(self, nodes: NDArray[np.intp], d: Array) -> None:
+        """Add norms that are smallest at ``d`` (N, k)."""
+        further = falling_norms(self._edges, self._nodes, nodes, d)
+        if further is not None:
+            self._all.append(further)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FallingNorms:
     """T (nodes, k, k)."""
@@ -57,27 +81,26 @@ class FallingNorms:
 
 
 def falling_norms(
-    edges: Sequence[NormedEdge], nodes: int, starts: Array, growth: float = 1.0
+    edges: Sequence[NormedEdge], nodes: int, at: NDArray[np.intp], starts: Array
 ) -> FallingNorms | None:
-    """Return norms that are smallest at ``starts`` (N, k); None if the solver has none that can be proved.
+    """Return norms that are smallest at ``starts`` (N, k), each at its node of ``at`` (N,).
 
-    ``growth``: factor by which each step has to diminish them.
+    None if the solver has none that can be proved.
     """
     coordinates = _coordinates(edges, nodes)
     if coordinates is None:
         return None
     inverses = np.linalg.inv(coordinates)
-    k = coordinates.shape[1]
     turned = [
         NormedEdge(
             edge.source,
             edge.target,
-            growth * coordinates[edge.target] @ edge.M @ inverses[edge.source],
+            coordinates[edge.target] @ edge.M @ inverses[edge.source],
             edge.rows @ inverses[edge.source],
         )
         for edge in edges
     ]
-    problem = _problem(turned, nodes, [starts @ each.T for each in coordinates], k)
+    problem = _problem(turned, nodes, at, np.einsum("nij,nj->ni", coordinates[at], starts))
     y = last_answer(problem, _TOLERANCE)
     if y is None:
         return None
@@ -94,19 +117,18 @@ def falling_norms(
     return FallingNorms(float(np.max(np.concatenate(sizes))) * T @ coordinates)
 
 
-def _problem(edges: Sequence[NormedEdge], nodes: int, starts: Sequence[Array], k: int) -> LmiProblem:
+def _problem(edges: Sequence[NormedEdge], nodes: int, at: NDArray[np.intp], starts: Array) -> LmiProblem:
     """Pose the least b with start' P_i start <= b, P_i >= row' row, P_i >= M' P_j M."""
     unknowns = Unknowns()
     for node in range(nodes):
-        unknowns.symmetric(f"P{node}", k)
+        unknowns.symmetric(f"P{node}", starts.shape[1])
     unknowns.symmetric("objective", 1)
     inequalities = []
-    for node in range(nodes):
-        for start in starts[node]:
-            below = MatrixInequality.zero(unknowns, 1)
-            below.add_form(unknowns, f"P{node}", start[None, :], -1.0)
-            below.coefficients[-1] += 1.0
-            inequalities.append(below)
+    for node, start in zip(at, starts, strict=True):
+        below = MatrixInequality.zero(unknowns, 1)
+        below.add_form(unknowns, f"P{node}", start[None, :], -1.0)
+        below.coefficients[-1] += 1.0
+        inequalities.append(below)
     for edge in edges:
         chosen = np.unique(np.linspace(0, len(edge.rows) - 1, _ROWS).round().astype(int))
         for row in edge.rows[chosen]:

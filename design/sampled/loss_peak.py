@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from servobench.design.errors import NoSolution
-from servobench.design.sampled.falling_norms import FallingNorms, NormedEdge, falling_norms
+from servobench.design.sampled.falling_norms import NormedEdge, Norms
 from servobench.design.sampled.jump_loop import Remembering
 from servobench.design.sampled.peak_steps import PeakBound
 from servobench.design.sampled.peak_tree import Leaves, bounded_peak, joined
@@ -40,10 +39,8 @@ def losses_peak(controller: Remembering, readings_max: int, commands_max: int) -
     step = SteppedLoad(controller.loop, controller.period_s, usual)
     edges = [(move, step.maps(controller.chain(move.memory, move.outcome))) for move in moves]
     normed = [NormedEdge(move.source, move.target, maps.M[None], maps.looks) for move, maps in edges]
-    norms = falling_norms(normed, nodes, step.starts)
-    if norms is None:
-        raise NoSolution("certificate of the peak", "no norms were found that fall along every sequence")
-    first = joined([step.begun(node, norms, np.zeros((1, 0))) for node in range(nodes)])
+    norms = Norms(normed, nodes, step.starts)
+    first = joined([step.begun(node, norms.first, np.zeros((1, 0))) for node in range(nodes)])
     return bounded_peak(_Walks(edges, norms, step), first, step.known, _CLOSENESS, _LEAVES_MAX)
 
 
@@ -66,12 +63,15 @@ def walked(controller: Remembering, readings_max: int, commands_max: int) -> Ite
 class _Walks:
     """The periods of a graph, for the search."""
 
-    def __init__(self, edges: list[tuple[Move, PeriodMaps]], norms: FallingNorms, step: SteppedLoad) -> None:
+    def __init__(self, edges: list[tuple[Move, PeriodMaps]], norms: Norms, step: SteppedLoad) -> None:
         self._edges, self._norms, self._step = edges, norms, step
 
     def bounds(self, leaves: Leaves) -> np.ndarray:
         sizes = self._norms.sizes(leaves.node, leaves.d) + leaves.radius
         return np.asarray(self._step.error_at_rest + sizes)
+
+    def refine(self, leaves: Leaves) -> None:
+        self._norms.refine(leaves.node, leaves.d)
 
     def stepped(self, leaves: Leaves) -> tuple[Leaves, float, float]:
         came, reached, bound = [], 0.0, 0.0

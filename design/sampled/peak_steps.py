@@ -22,6 +22,7 @@ from servobench.design.sampled.admissible_steps import Family
 from servobench.design.sampled.held_loop import HeldLoop
 from servobench.design.sampled.step_maps import Corners
 
+_GROWTH_PARTS = 64
 _INSTANTS_MIN, _INSTANTS_MAX = 8, 400
 
 
@@ -132,11 +133,13 @@ def _slope_max(loop: HeldLoop) -> float:
 
 
 def _growth(model: SpeedModel, period_s: float) -> Array:
-    """Bound |e^{At}| within a period, entry by entry: without what decays by itself."""
-    A = model.A
-    bound = np.abs(A)
-    np.fill_diagonal(bound, np.maximum(np.diag(A), 0.0))
-    return np.asarray(expm(bound * period_s))
+    """Bound |e^{At}| within a period, entry by entry: at some instants, and between these without decay."""
+    bound = np.abs(model.A)
+    np.fill_diagonal(bound, np.diag(model.A))
+    growing = np.maximum(bound, 0.0)
+    at_s = period_s * np.arange(_GROWTH_PARTS) / _GROWTH_PARTS
+    at_instants = expm(bound * at_s[:, None, None])
+    return np.asarray(expm(growing * (period_s / _GROWTH_PARTS)) @ at_instants.max(axis=0))
 
 
 def instants_for(bend: float, allowed: float) -> int:
@@ -155,10 +158,20 @@ def error_curvature(model: SpeedModel, period_s: float) -> tuple[Array, float, f
     if abs(C @ model.B1) > 0.0:
         raise NoSolution("certificate of the peak", "the input acts on the error at once")
     # with e = C x the second derivative jumps with the input, the first does not
-    of_state = np.abs(C @ A @ A) @ _growth(model, period_s)
-    of_input = float(of_state @ np.abs(model.B1)) * period_s + abs(float(C @ A @ model.B1))
-    of_load = float(of_state @ np.abs(model.B2)) * period_s + abs(float(C @ A @ model.B2))
-    return of_state, of_input, of_load
+    row = np.abs(C @ A @ A)
+    of_input, of_load = (
+        float(row @ _filled(A, np.abs(B), period_s)) + abs(float(C @ A @ B)) for B in (model.B1, model.B2)
+    )
+    return row @ _growth(model, period_s), of_input, of_load
+
+
+def _filled(A: Array, B: Array, period_s: float) -> Array:
+    """Bound what an input of at most 1 makes of the state within a period, entry by entry."""
+    n = len(A)
+    bound = np.zeros((n + 1, n + 1))
+    bound[:n, :n], bound[:n, n] = np.abs(A), B
+    np.fill_diagonal(bound[:n, :n], np.diag(A))
+    return np.asarray(expm(bound * period_s)[:n, n])
 
 
 def between_instants(loop: HeldLoop, x: Array, held: float, instants: int, load: float = 1.0) -> float:

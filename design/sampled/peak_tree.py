@@ -17,6 +17,10 @@ from servobench.design.sampled.peak_steps import PeakBound
 
 _AT_ONCE = 4000
 """Leaves stepped at once."""
+_REFINED_AFTER = 60_000
+"""Leaves stepped until bounds are sharpened, again and again."""
+_REFINED_AT, _REFINED_FROM = 40, 50
+"""Leaves for which that is done, each so many of the largest bounds."""
 
 
 class Leaves(NamedTuple):
@@ -40,6 +44,9 @@ class Steps(Protocol):
     def bounds(self, leaves: Leaves) -> Array:
         """Return (N,): what no error behind each leaf exceeds."""
 
+    def refine(self, leaves: Leaves) -> None:
+        """Sharpen the bounds for some leaves."""
+
     def stepped(self, leaves: Leaves) -> tuple[Leaves, float, float]:
         """Return the leaves a period later, the largest error passed, and what none exceeded."""
 
@@ -58,7 +65,7 @@ def bounded_peak(
     ``known``: an error that is reached, and a bound of those before ``first``; ``closeness``: relative, at
     which the search ends; ``leaves_max``: leaves stepped until it ends anyway.
     """
-    left, done, count = first, 0.0, 0
+    left, done, count, refined = first, 0.0, 0, _REFINED_AFTER
     reached, passed = known
     bounds = steps.bounds(left)
     while len(bounds):
@@ -73,6 +80,11 @@ def bounded_peak(
         if len(bounds) > _AT_ONCE:
             places = np.argpartition(-bounds, _AT_ONCE)
         taken, kept = places[:_AT_ONCE], places[_AT_ONCE:]
+        if count >= refined:
+            largest = np.argsort(-bounds)[: _REFINED_FROM * _REFINED_AT : _REFINED_FROM]
+            steps.refine(left.part(largest))
+            bounds, refined = steps.bounds(left), refined + _REFINED_AFTER
+            continue
         came, error, bound = steps.stepped(left.part(taken))
         count += len(taken)
         reached, passed = max(reached, error), max(passed, bound)

@@ -19,7 +19,7 @@ from servobench.design.sampled.peak_tree import Leaves
 
 _WITHIN = 128
 """Instants of a period at which the error is evaluated."""
-_START_PARTS = 32
+_START_PARTS = 64
 """Parts of the period in which the load may come."""
 _ALIKE = 1e-6
 """Relative: how well the state at rest has to stay in every step."""

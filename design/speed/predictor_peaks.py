@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servobench.design.delay.delay_loop import Array
-from servobench.design.errors import NoSolution
-from servobench.design.sampled.falling_norms import FallingNorms, NormedEdge, falling_norms
+from servobench.design.sampled.falling_norms import NormedEdge, Norms
 from servobench.design.sampled.peak_steps import PeakBound
 from servobench.design.sampled.peak_tree import Leaves, bounded_peak, joined
 from servobench.design.sampled.random_losses import Outcome
@@ -73,9 +72,7 @@ def predictor_peak(
         M = np.array([period.lost.M + np.outer(period.M @ L, loop.read) for L in corners])
         looks = [period.lost.looks + np.outer(period.looks @ L, loop.read) for L in corners]
         edges.append(NormedEdge(move.source, move.target, M, np.vstack(looks)))
-    norms = falling_norms(edges, nodes, step.starts)
-    if norms is None:
-        raise NoSolution("certificate of the peak", "no norms were found that fall along every sequence")
+    norms = Norms(edges, nodes, step.starts)
     walk, known = _Walks(loop.read, moves, periods, boxes, norms, step), step.known
     for closeness, begun in (
         (_CLOSENESS, boxes.exact(_histories(readings_max))),
@@ -84,7 +81,7 @@ def predictor_peak(
         first = []
         for node in range(nodes):
             memory = boxes.predicted(begun, node // (commands_max + 1))
-            first.append(step.begun(node, norms, _flat(memory)))
+            first.append(step.begun(node, norms.first, _flat(memory)))
         bound = bounded_peak(walk, joined(first), known, closeness, _LEAVES_MAX)
         known = bound.reached, known[1]
     return bound
@@ -113,7 +110,7 @@ class _Walks:
         moves: list[_Move],
         periods: dict[Outcome, _Period],
         boxes: GainBoxes,
-        norms: FallingNorms,
+        norms: Norms,
         step: SteppedLoad,
     ) -> None:
         self._read, self._moves, self._periods = read, moves, periods
@@ -122,6 +119,9 @@ class _Walks:
     def bounds(self, leaves: Leaves) -> Array:
         sizes = self._norms.sizes(leaves.node, leaves.d) + leaves.radius
         return np.asarray(self._step.error_at_rest + sizes)
+
+    def refine(self, leaves: Leaves) -> None:
+        self._norms.refine(leaves.node, leaves.d)
 
     def stepped(self, leaves: Leaves) -> tuple[Leaves, float, float]:
         came, reached, bound = [], 0.0, 0.0
@@ -160,7 +160,7 @@ class _Walks:
         held = np.abs(held) + open_ @ np.abs(period.inputs).T
         errors, between = self._step.errors(own.d, seen, held)
         apart = (open_ @ np.abs(period.looks).T).max(axis=1)
-        turned = self._norms.T[move.target] @ period.M
+        turned = self._norms.first.T[move.target] @ period.M
         wider = np.max([np.linalg.norm((open_ * signs) @ turned.T, axis=1) for signs in _SIGNS], axis=0)
         targets = np.full(len(own.d), move.target)
         child = Leaves(targets, own.d @ lost.M.T + added @ period.M.T, own.radius + wider, own.memory)

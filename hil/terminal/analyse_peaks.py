@@ -34,7 +34,7 @@ def peaks(asked: PeaksOptions) -> None:
 
     A row for each number of losses in a row, up to those asked for. Certified: no sequence exceeds it, at any
     instant, whenever the load comes. Found: some sequence reaches it. Motor and current loop are those that
-    the controller was made for, and so is the delay, the longest.
+    the controller was made for, and so are the delays.
 
     Examples:
       hil analyse peaks fused.toml --losses-max 2 --command-losses-max 1

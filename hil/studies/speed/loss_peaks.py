@@ -1,14 +1,17 @@
 """The analysis behind ``hil analyse peaks``: a controller's file where readings and commands are lost."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from servobench.design.errors import NoSolution
+from servobench.design.sampled.analysis import analyse_loop, with_peak
+from servobench.design.sampled.held_loop import HeldLoop
 from servobench.design.sampled.jump_loop import Remembering
 from servobench.design.sampled.loss_peak import losses_peak
 from servobench.design.sampled.peak_steps import PeakBound
 from servobench.design.speed.predictor_peaks import predictor_peak
-from servobench.design.speed.random_loops import RandomPredictor
+from servobench.design.speed.random_loops import RandomHeld, RandomPredictor
 from servobench.hil.configuration.controller_kinds import StateFeedbackController
 from servobench.hil.studies.speed.random_losses import Designed, remembering_of
 
@@ -38,6 +41,14 @@ def peaks_figures(
 def peak_of(remembering: Remembering, readings_max: int, commands_max: int) -> PeakBound:
     """Return the largest error after a load step of 1 N m, with at most so many readings and commands lost in
     a row. Raises NoSolution."""
+    if isinstance(remembering, RandomHeld) and not commands_max:
+        loop = remembering.loop
+        analysis = with_peak(
+            analyse_loop(HeldLoop(loop.model, loop.K, replace(loop.network, losses_max=readings_max)))
+        )
+        if analysis.peak_certified is None:
+            raise NoSolution("certificate of the peak", analysis.without_certificate)
+        return PeakBound(analysis.peak_certified, analysis.peak_found)
     if isinstance(remembering, RandomPredictor):
         own = remembering
         return predictor_peak(own.loop, own.kalman, own.walks, readings_max, commands_max)

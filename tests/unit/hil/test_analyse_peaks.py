@@ -42,6 +42,6 @@ def test_where_nothing_is_proved_the_row_says_so() -> None:
 
 
 def test_a_controller_without_a_design_is_refused() -> None:
-    result = analyse("azaiz2007-kq.toml")
+    result = analyse("azaiz2007-speed.toml")
     assert result.exit_code == 2
     assert "one of state_feedback, predictor, fused, hinf" in " ".join(result.stderr.split())
