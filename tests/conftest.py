@@ -13,11 +13,13 @@ import os
 import signal
 import sys
 from collections.abc import Generator, Iterator
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import pytest
+import typer.testing
 
 from tests.stillness import EXCUSED_MS, STOOD_STILL_MS, Untrue, Witness
 
@@ -36,7 +38,11 @@ _ORDER = pytest.StashKey[tuple[bool, bool]]()
 
 
 def pytest_configure() -> None:
-    """Tests send signals that nohup, and a shell for what it leaves in the background, have had ignored."""
+    """Tests send signals that nohup, and a shell for what it leaves in the background, have had ignored.
+
+    And CliRunner would make all commands of ``hil`` anew for each that it is asked for.
+    """
+    vars(typer.testing)["_get_command"] = cache(typer.main.get_command)
     for number, handler in ((signal.SIGHUP, signal.SIG_DFL), (signal.SIGINT, signal.default_int_handler)):
         if signal.getsignal(number) == signal.SIG_IGN:
             signal.signal(number, handler)
