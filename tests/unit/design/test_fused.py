@@ -192,6 +192,7 @@ def made() -> FusedDesign:
     return design_fused(request())
 
 
+@pytest.mark.long
 def test_a_design_keeps_its_limits(made: FusedDesign) -> None:
     assert made.noise()[0] <= 1.001 * 0.1
     for inertia, more_s in made.request.borne:
@@ -201,6 +202,7 @@ def test_a_design_keeps_its_limits(made: FusedDesign) -> None:
     assert len(PHASES) == 6
 
 
+@pytest.mark.long
 def test_gain_and_decay_are_certified_close_to_what_is_found(made: FusedDesign) -> None:
     analysis = fused_losses(made, 2)
     assert analysis.certified

@@ -128,6 +128,7 @@ def said(folder: Path, *command: str) -> str:
     return done.stdout.strip() + done.stderr.strip().rpartition("\n")[2]
 
 
+@pytest.mark.long
 def test_a_core_that_is_not_of_its_sources_is_refused(tmp_path: Path) -> None:
     """As after an update of a checkout: no old core runs in silence."""
     if not COMPILERS:
@@ -148,6 +149,7 @@ def test_a_core_that_is_not_of_its_sources_is_refused(tmp_path: Path) -> None:
     assert said(tmp_path, *asks) == first
 
 
+@pytest.mark.long
 def test_a_shared_header_is_a_source_of_every_core(tmp_path: Path) -> None:
     if not COMPILERS:
         pytest.skip("no C compiler")
@@ -163,6 +165,7 @@ def test_a_shared_header_is_a_source_of_every_core(tmp_path: Path) -> None:
         assert "'built from other sources', expected a fresh one: make core" in said(tmp_path, *asks)
 
 
+@pytest.mark.long
 def test_sources_that_do_not_compile_leave_the_core_as_it_was(tmp_path: Path) -> None:
     if not COMPILERS:
         pytest.skip("no C compiler")
