@@ -53,6 +53,18 @@ static inline FrameObject *make_frame(PyTypeObject *frame_type, int64_t can_id, 
     return NULL;
 }
 
+/* An identifier as Python's integer; those of 11 bits are made once. The reference is the caller's. */
+static inline PyObject *identifier(int64_t can_id)
+{
+    enum { COUNT = 0x800 };
+    static PyObject *made[COUNT];
+    if (can_id < 0 || can_id >= COUNT)
+        return PyLong_FromLongLong(can_id);
+    if (made[can_id] == NULL && (made[can_id] = PyLong_FromLongLong(can_id)) == NULL)
+        return NULL;
+    return another(made[can_id]);
+}
+
 /* The frame's type, with a reference as long as the process is there; NULL for an error. */
 static inline PyTypeObject *find_frame_type(void)
 {

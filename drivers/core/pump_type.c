@@ -114,7 +114,7 @@ static bool dispatch_frame(PumpObject *self, const FrameObject *frame, PyObject 
 static bool dispatch(PumpObject *self)
 {
     FrameObject *frame = (FrameObject *)another((PyObject *)self->link->last);
-    PyObject *can_id = PyLong_FromLongLong(frame->can_id), *at = PyLong_FromLongLong(self->link->last_at);
+    PyObject *can_id = identifier(frame->can_id), *at = PyLong_FromLongLong(self->link->last_at);
     bool well = can_id != NULL && at != NULL
                 && (self->link->last_own ? dispatch_echo : dispatch_frame)(self, frame, can_id, at);
     forget(&at);

@@ -157,37 +157,46 @@ bool send_frame(PortObject *self, const WireFrame *frame)
 
 /* ---- the end of a frame ---- */
 
-static bool tell(PyObject *callable, PyObject *frame, PyObject *at)
-{
-    PyObject *arguments[] = {NULL, frame, at};
-    return went_well(PyObject_Vectorcall(callable, arguments + 1, 2 | PY_VECTORCALL_ARGUMENTS_OFFSET, NULL));
-}
-
-/* A frame on its way to everybody, and the objects that tell of it; its identifier's only if a port filters. */
+/* A frame on its way to everybody, and the objects that tell of it, NULL until somebody asks. */
 typedef struct Delivery {
     const WireFrame *frame;
     int64_t now;
     PyObject *at, *can_id;
 } Delivery;
 
+/* The instant, borrowed. */
+static PyObject *instant_of(Delivery *delivery)
+{
+    if (delivery->at == NULL)
+        delivery->at = PyLong_FromLongLong(delivery->now);
+    return delivery->at;
+}
+
+static bool tell(PyObject *callable, Delivery *delivery)
+{
+    PyObject *arguments[] = {NULL, delivery->frame->object, instant_of(delivery)};
+    return arguments[2] != NULL
+           && went_well(PyObject_Vectorcall(callable, arguments + 1, 2 | PY_VECTORCALL_ARGUMENTS_OFFSET, NULL));
+}
+
 /* What a dictionary has for the frame's identifier, with a reference; NULL: nothing, or an error. */
 static PyObject *entry_for(PyObject *heard, Delivery *delivery)
 {
     if (delivery->frame->extended)
         return NULL;
-    if (delivery->can_id == NULL && (delivery->can_id = PyLong_FromLongLong(delivery->frame->can_id)) == NULL)
+    if (delivery->can_id == NULL && (delivery->can_id = identifier(delivery->frame->can_id)) == NULL)
         return NULL;
     PyObject *entry = PyDict_GetItemWithError(heard, delivery->can_id);
     return entry == NULL ? NULL : another(entry);
 }
 
-static bool tell_listener(PyObject *listener, const Delivery *delivery)
+static bool tell_listener(PyObject *listener, Delivery *delivery)
 {
     static PyObject *name;
     if (name == NULL && (name = PyUnicode_InternFromString("on_frame")) == NULL)
         return false;
-    PyObject *arguments[] = {another(listener), delivery->frame->object, delivery->at};
-    bool well = went_well(PyObject_VectorcallMethod(name, arguments, 3, NULL));
+    PyObject *arguments[] = {another(listener), delivery->frame->object, instant_of(delivery)};
+    bool well = arguments[2] != NULL && went_well(PyObject_VectorcallMethod(name, arguments, 3, NULL));
     Py_DecRef(arguments[0]);
     return well;
 }
@@ -226,7 +235,7 @@ static bool hand_to(PortObject *port, Delivery *delivery)
 static bool hand_to_all(PyObject *monitors, PyObject *ports, PortObject *sender, Delivery *delivery)
 {
     for (Py_ssize_t place = 0; place < PyTuple_Size(monitors); place++) {
-        if (!tell(PyTuple_GetItem(monitors, place), delivery->frame->object, delivery->at))
+        if (!tell(PyTuple_GetItem(monitors, place), delivery))
             return false;
     }
     for (Py_ssize_t place = 0; place < PyTuple_Size(ports); place++) {
@@ -239,7 +248,7 @@ static bool hand_to_all(PyObject *monitors, PyObject *ports, PortObject *sender,
     PyObject *on_sent = another(sender->on_sent);
     PlaceObject *place = place_told(on_sent);
     bool well = place != NULL ? keep_frame(place, delivery->frame->object, delivery->now, true)
-                              : tell(on_sent, delivery->frame->object, delivery->at);
+                              : tell(on_sent, delivery);
     Py_DecRef(on_sent);
     return well;
 }
@@ -247,9 +256,9 @@ static bool hand_to_all(PyObject *monitors, PyObject *ports, PortObject *sender,
 /* To the monitors, to every port but its sender's, and to its sender. */
 static bool hand_out(SegmentObject *self, PortObject *sender, const WireFrame *frame, int64_t now)
 {
-    Delivery delivery = {frame, now, PyLong_FromLongLong(now), NULL};
+    Delivery delivery = {frame, now, NULL, NULL};
     PyObject *monitors = another(self->monitors), *ports = another(self->ports);
-    bool well = delivery.at != NULL && hand_to_all(monitors, ports, sender, &delivery);
+    bool well = hand_to_all(monitors, ports, sender, &delivery);
     Py_DecRef(ports);
     Py_DecRef(monitors);
     forget(&delivery.at);
