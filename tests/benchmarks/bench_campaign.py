@@ -40,6 +40,7 @@ EMPTY, IN_FLIGHT = 1000, 4
 """Chunks without a run, and how many of them are handed out at a time."""
 CHUNK = 8
 """Runs of the demo bench in half a second."""
+CYCLES = "cycles"
 BRING_UP = ("_prepare", "_calibrate_and_run", "_release")
 """The second holds the cycles, which are taken out of it."""
 
@@ -66,8 +67,19 @@ def processor_s(who: int = resource.RUSAGE_SELF) -> float:
 
 @contextmanager
 def metered(names: tuple[str, ...]) -> Iterator[dict[str, list[float]]]:
-    """Processor time of each call of these methods of a run."""
-    spent: dict[str, list[float]] = {name: [] for name in names}
+    """Processor time of each call of these methods of a run, and of its cycles."""
+    spent: dict[str, list[float]] = {name: [] for name in (*names, CYCLES)}
+    running_from_s = 0.0
+
+    def enter(run: _Run, phase: str) -> None:
+        nonlocal running_from_s
+        if phase == "running":
+            running_from_s = processor_s()
+        enter_phase(run, phase)
+
+    def note_ended(run: _Run, *given: Any) -> None:
+        spent[CYCLES].append(processor_s() - running_from_s)
+        note(run, *given)
 
     def meter(name: str, method: Callable[..., Any]) -> Callable[..., Any]:
         def called(*given: Any, **named: Any) -> Any:
@@ -79,7 +91,10 @@ def metered(names: tuple[str, ...]) -> Iterator[dict[str, list[float]]]:
 
         return called
 
+    enter_phase, note = _Run._enter, _Run._note_ended
     with ExitStack() as stack:
+        stack.enter_context(patch.object(_Run, "_enter", enter))
+        stack.enter_context(patch.object(_Run, "_note_ended", note_ended))
         for name in names:
             stack.enter_context(patch.object(_Run, name, meter(name, getattr(_Run, name))))
         yield spent
@@ -90,15 +105,15 @@ def _print_one_process(plan: CampaignPlan) -> None:
     for number in range(WARM):
         workshop.row(number)
     whole = []
-    with metered(("_cycles", *BRING_UP)) as spent:
+    with metered(BRING_UP) as spent:
         for number in range(WARM, WARM + MEASURED):
             began = processor_s()
             workshop.row(number)
             whole.append(processor_s() - began)
-    cycles = median(spent["_cycles"])
+    cycles = median(spent[CYCLES])
     brought = [
         sum(parts) - loop
-        for loop, *parts in zip(spent["_cycles"], *(spent[name] for name in BRING_UP), strict=True)
+        for loop, *parts in zip(spent[CYCLES], *(spent[name] for name in BRING_UP), strict=True)
     ]
     bring_up, total = median(brought), median(whole)
     print(f"{'processor time of a run, ms':40} {'':>8}   x cycles alone")
