@@ -7,7 +7,7 @@ page, too, in the units that the drive tells.
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from textwrap import wrap
@@ -24,9 +24,9 @@ from servobench.drivers.rotation import RPM_PER_RAD_S
 from servobench.drivers.timebase import NS_PER_S
 from servobench.drivers.written_file import written
 from servobench.hil.configuration.drive_file import load_drive_file
-from servobench.hil.recording.lanes import lane_colors
+from servobench.hil.recording.lanes import STATES, lane, lane_colors, lane_column
 from servobench.hil.recording.page_series import BLUE, GREEN, GREY, Color
-from servobench.hil.recording.plot_scale import COLUMN_PX, about, lanes_px, plot_heights
+from servobench.hil.recording.plot_scale import COLUMN_PX, LANE_GUTTER, about, gutter, lanes_px, plot_heights
 from servobench.hil.recording.rerun_page import (
     event_list,
     framed,
@@ -56,8 +56,8 @@ from servobench.hil.verdict.plain_values import from_plain
 _APPLICATION: Final = "servobench commissioning"
 _ZERO: Final = re.compile(r"0 ns is \((\d+)\.(\d{6})\)")
 """How the first event tells where the events' time begins in the stamps of frames."""
-_STEP, _DRIVE = "/state/1_step", "/state/2_drive"
-"""Rerun lays lanes out by their paths."""
+_STEP, _DRIVE = "step", "drive"
+"""Lanes."""
 _EVENTS, _FIGURES = "/events", "/figures"
 _GOOD, _RED, _GREY, _BLUE = 0x1565C0FF, 0xB3202AFF, 0x50555CFF, 0x1F5FA8FF
 _STEP_COLORS: Final = {"done": _GOOD, "failed": _RED, "skipped": _GREY, "left out": _GREY, "not done": _GREY}
@@ -137,6 +137,16 @@ def commissioning_page(folder: Path) -> Path:
     return page
 
 
+@dataclass(frozen=True, slots=True)
+class _Lane:
+    """What a lane shows from when on, and in which colours."""
+
+    track: str
+    times: list[int]
+    labels: list[str]
+    colors: Mapping[str, int]
+
+
 def _write(folder: Path, page: Path) -> None:
     figures = _figures(folder)
     events = list(read_events(folder / COMMISSIONING_RECORDING / EVENTS_FILE))
@@ -144,11 +154,14 @@ def _write(folder: Path, page: Path) -> None:
     bus = _Bus(RecordedBus(page.parent), _known(folder), zero_ns)
     end_ns = max([bus.end_ns, *(event["at_ns"] for event in events)])
     with written("RUN", page) as part, stream_into(part, _APPLICATION) as stream:
-        _send_steps(stream, events, figures)
+        lanes = [each for each in (_steps(events, figures), _drive(bus)) if each.times]
+        for each in lanes:
+            stream.send_columns(STATES, run_times(each.times), [lane_column(each.track, each.labels)])
+        _send_texts(stream, _told(events))
         _send_bus(stream, bus)
         text = rr.TextDocument(_markdown(folder, figures), media_type=rr.MediaType.MARKDOWN)
         stream.log(_FIGURES, text, static=True)
-        stream.send_blueprint(_layout(bus, end_ns / NS_PER_S))
+        stream.send_blueprint(_layout(bus, lanes, end_ns / NS_PER_S))
 
 
 def _figures(folder: Path) -> _Figures:
@@ -221,7 +234,7 @@ class _Bus:
                 held[index].append((at_ns, value.si * _SIGNALS[index].scale))
 
 
-def _send_steps(stream: rr.RecordingStream, events: list[dict[str, Any]], figures: _Figures) -> None:
+def _steps(events: list[dict[str, Any]], figures: _Figures) -> _Lane:
     named = {step.name: step.title for step in figures.steps}
     begun = [event for event in events if event.get("track") == "step" and "state" in event]
     titles = [named.get(str(event["state"]), str(event["state"])) for event in begun]
@@ -229,14 +242,20 @@ def _send_steps(stream: rr.RecordingStream, events: list[dict[str, Any]], figure
     labels = list(dict.fromkeys(titles))
     colors = [_STEP_COLORS.get(verdicts.get(label, ""), _BLUE) for label in labels]
     times = [event["at_ns"] for event in begun]
-    _send_lane(stream, _STEP, times, titles, dict(zip(labels, colors, strict=True)))
+    return _Lane(_STEP, times, titles, dict(zip(labels, colors, strict=True)))
+
+
+def _drive(bus: _Bus) -> _Lane:
+    times, labels = [at for at, _ in bus.states], [label for _, label in bus.states]
+    return _Lane(_DRIVE, times, labels, lane_colors("axis drive", ["axis"]))
+
+
+def _told(events: list[dict[str, Any]]) -> list[tuple[int, str, str]]:
     told = [event for event in events if "text" in event and "level" in event]
-    _send_texts(stream, [(each["at_ns"], str(each["level"]), str(each["text"])) for each in told])
+    return [(each["at_ns"], str(each["level"]), str(each["text"])) for each in told]
 
 
 def _send_bus(stream: rr.RecordingStream, bus: _Bus) -> None:
-    times, labels = [at for at, _ in bus.states], [label for _, label in bus.states]
-    _send_lane(stream, _DRIVE, times, labels, lane_colors("axis drive", ["axis"]))
     counts = Counter(text for _, text in bus.emergencies)
     firsts = {text: at for at, text in reversed(bus.emergencies)}
     told = [
@@ -246,16 +265,6 @@ def _send_bus(stream: rr.RecordingStream, bus: _Bus) -> None:
     _send_texts(stream, told)
     for index, envelope in bus.signals.items():
         send_line(stream, _path(index), envelope.points(), _SIGNALS[index].name, _SIGNALS[index].color)
-
-
-def _send_lane(
-    stream: rr.RecordingStream, path: str, times: list[int], labels: list[str], colors: Mapping[str, int]
-) -> None:
-    if not times:
-        return
-    names, shades = list(colors), np.array(list(colors.values()), np.uint32)
-    stream.log(path, rr.StateConfiguration(values=names, labels=names, colors=shades), static=True)
-    stream.send_columns(path, run_times(times), rr.StateChange.columns(state=labels))
 
 
 def _send_texts(stream: rr.RecordingStream, told: list[tuple[int, str, str]]) -> None:
@@ -303,13 +312,19 @@ def _cells(text: str) -> list[str]:
     return wrap(text.replace("|", "/"), _RESULT_COLUMNS)
 
 
-def _layout(bus: _Bus, end_s: float) -> rrb.Blueprint:
-    axis = from_zero(end_s)
+def _layout(bus: _Bus, told: Sequence[_Lane], end_s: float) -> rrb.Blueprint:
     there = [name for name in _PLOTS if any(_SIGNALS[index].plot == name for index in bus.signals)]
     ranges = {name: about(bus.ends(name)) for name in there}
-    plots = [plot("/", [f"+ /{name}/**"], _PLOTS[name], axis, ranges[name]) for name in there]
+    plots = [
+        plot("/", [f"+ /{name}/**"], _PLOTS[name], from_zero(end_s, gutter(ranges[name])), ranges[name])
+        for name in there
+    ]
     lanes = rrb.StateTimelineView(
-        origin="/", contents=[f"+ {_STEP}", f"+ {_DRIVE}"], name="Steps and states", time_view=axis
+        origin="/",
+        contents=[f"+ {STATES}"],
+        name="Steps and states",
+        time_view=from_zero(end_s, LANE_GUTTER),
+        overrides={STATES: [lane(each.track, each.colors) for each in told]},
     )
     right = rrb.Vertical(
         rrb.TextDocumentView(origin=_FIGURES, name="What came of it"),

@@ -4,6 +4,7 @@ What is drawn is what a user sees on opening the file; the layout is the one tha
 in front or another stretch of time, if that was asked for.
 """
 
+import math
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,15 +17,19 @@ from servobench.drivers.errors import BadInput, PeerFault
 from servobench.drivers.printable import printable
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
 from servobench.hil.recorded.commissioning_page import commissioning_page, is_commissioning
-from servobench.hil.recording.blueprint import GUTTER, ZOOM_PAGE
+from servobench.hil.recording.blueprint import ZOOM_PAGE
 from servobench.hil.recording.page_series import TIMELINE
+from servobench.hil.recording.plot_scale import LANE_GUTTER
 from servobench.hil.recording.serving import choose_ports, comes_to_listen, free_port, serve_file
 from servobench.hil.rows.recording_plan import LOOPBACK, ServedPorts
 from servobench.hil.rows.run_files import CAMPAIGN_PAGE, RERUN_FILE
 from servobench.hil.rows.seal import seal_of
 from servobench.virtual_bus.child_python import python_command, python_environment
 
-SIZE: Final = "1920x1080"
+LAID_OUT_FOR: Final = 1920, 1080
+"""Points, width and height, in which the pages have room for all lanes, labels and words."""
+_ZOOM_STEP, _ZOOM_LEAST, _ZOOM_MOST = 0.1, 0.5, 4.0
+"""Of the viewer's own commands."""
 _LOAD_MAX_NS: Final = 300 * NS_PER_S
 """An hour with three axes takes half a minute on two slow processors."""
 _GREETING_NS: Final = 5 * NS_PER_S
@@ -43,8 +48,12 @@ _REMEDY: Final = (
 class HeadlessViewer:
     """One viewer; :meth:`show` first."""
 
-    def __init__(self, client: ViewerClient) -> None:
+    def __init__(self, client: ViewerClient, size: tuple[int, int] = LAID_OUT_FOR) -> None:
+        """``size``: of its window, px; a page is drawn smaller or larger in it, and is all there."""
         self._client = client
+        steps = round((zoom_of(size) - 1.0) / _ZOOM_STEP)
+        for _ in range(abs(steps)):
+            self._client.run_command("ui.zoom_in_ui" if steps > 0 else "ui.zoom_out_ui")
         self._clock = MonotonicClock()
         self._shown_at = Instant(0)
 
@@ -86,7 +95,7 @@ class HeadlessViewer:
                 continue
             view = shown.blueprint.get(path.removesuffix("/TimeAxis"), {}).get("ViewBlueprint", {})
             lanes = view.get("class_identifier") != "TimeSeries"
-            begin = begin_s - (GUTTER * (end_s - begin_s) if lanes else 0.0)
+            begin = begin_s - (LANE_GUTTER * (end_s - begin_s) if lanes else 0.0)
             window = {
                 name: {"Absolute": round(at * NS_PER_S)} for name, at in (("start", begin), ("end", end_s))
             }
@@ -130,6 +139,13 @@ class HeadlessViewer:
         self._clock.sleep_until(Instant(self._clock.now() + duration_ns))
 
 
+def zoom_of(size: tuple[int, int]) -> float:
+    """Return how large the viewer has to draw so that a window of ``size``, px, holds a page."""
+    zoom = min(own / laid_out for own, laid_out in zip(size, LAID_OUT_FOR, strict=True))
+    steps = math.floor(round(zoom / _ZOOM_STEP, 6))
+    return min(max(_ZOOM_STEP * steps, _ZOOM_LEAST), _ZOOM_MOST)
+
+
 def _untold(_seal: str) -> None:
     """Nobody asks what the seal says."""
 
@@ -161,17 +177,18 @@ def draw_page(
     at_s: float | None = None,
     window_s: tuple[float | None, float | None] = (None, None),
     *,
+    size: tuple[int, int] = LAID_OUT_FOR,
     unsealed: bool = False,
     tell_seal: Callable[[str], None] = _untold,
 ) -> bytes:
     """A page of the run or commissioning in a folder, or of a run.rrd, as PNG.
 
     ``at_s``: the cursor, None: at the end. ``window_s``: from when to when, None: as the page opens.
-    ``unsealed``, ``tell_seal``: as :func:`page_file`. Raises BadInput, and PeerFault if the viewer cannot run
-    here.
+    ``size``: of the picture, px. ``unsealed``, ``tell_seal``: as :func:`page_file`. Raises BadInput, and
+    PeerFault if the viewer cannot run here.
     """
     recording = page_file(run, unsealed=unsealed, tell_seal=tell_seal)
-    with headless_viewer() as viewer:
+    with headless_viewer(size) as viewer:
         viewer.show(recording)
         if page is not None:
             viewer.turn_to(page)
@@ -239,11 +256,12 @@ def _start_viewer(*options: str) -> "tuple[subprocess.Popen[bytes], int]":
 
 
 @contextmanager
-def headless_viewer() -> Iterator[HeadlessViewer]:
+def headless_viewer(size: tuple[int, int] = LAID_OUT_FOR) -> Iterator[HeadlessViewer]:
     """A viewer that ends with the block. Raises PeerFault if it cannot run here."""
-    process, port = _start_viewer("--headless", "--bind", LOOPBACK, "--window-size", SIZE)
+    window = "x".join(map(str, size))
+    process, port = _start_viewer("--headless", "--bind", LOOPBACK, "--window-size", window)
     try:
-        yield HeadlessViewer(_connect(process, port))
+        yield HeadlessViewer(_connect(process, port), size)
     except ConnectionError:  # it listens before it looks for a graphics driver
         raise _gone(process) from None
     finally:

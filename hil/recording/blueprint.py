@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import rerun.blueprint as rrb
 
-from servobench.hil.recording.lanes import STATES, in_order, lane, live_tracks
+from servobench.hil.recording.lanes import STATES, in_order, lane, lane_colors, live_tracks
 from servobench.hil.recording.page_series import (
     AXIS_COLORS,
     LIMITS,
@@ -22,7 +22,7 @@ from servobench.hil.recording.page_series import (
     own_series,
     torque_scale,
 )
-from servobench.hil.recording.plot_scale import COLUMN_PX, Range, lanes_px, plot_heights
+from servobench.hil.recording.plot_scale import COLUMN_PX, LANE_GUTTER, Range, gutter, lanes_px, plot_heights
 from servobench.hil.recording.rerun_page import event_list, framed, plot
 from servobench.hil.recording.wide_rows import cycles_entity, drawn
 from servobench.hil.rows.recording_plan import RecordingPlan
@@ -40,8 +40,6 @@ LIVE_WINDOW_S: Final = 20.0
 visible."""
 MARKS_MAX: Final = 30
 """More dropouts would bury the line; their lane shows all of them."""
-GUTTER: Final = 31 / 988
-"""Share of a plot's width taken by the labels at its left, which the lanes do not have."""
 
 Styled = tuple[Series, Color | None, str]
 """A line, and colour and name in place of its own."""
@@ -164,8 +162,8 @@ class Pages:
             origin="/",
             contents=[f"+ {STATES}"],
             name="States",
-            time_view=self._time_axis(linked, GUTTER),
-            overrides={STATES: [lane(track, self._axes) for track in lanes]},
+            time_view=self._time_axis(linked, LANE_GUTTER),
+            overrides={STATES: [lane(track, lane_colors(track, self._axes)) for track in lanes]},
         )
         states_px = lanes_px(max(len(lanes), 3))
         position = len(axes) == 1 and axes[0] in self._positions
@@ -256,10 +254,11 @@ class Pages:
         overrides: Overrides | None = None,
     ) -> rrb.TimeSeriesView:
         paths = [f"+ {path}" for path in contents]
-        return plot(origin, paths, title, self._time_axis(linked), low_high, overrides=overrides)
+        axis = self._time_axis(linked, gutter(low_high))
+        return plot(origin, paths, title, axis, low_high, overrides=overrides)
 
-    def _time_axis(self, linked: bool, gutter: float = 0.0) -> rrb.TimeAxis:
-        """``gutter``: so much more at the left, of the width."""
+    def _time_axis(self, linked: bool, earlier: float = 0.0) -> rrb.TimeAxis:
+        """``earlier``: so much more at the left, of the width."""
         if linked:
             return rrb.TimeAxis(link="LinkToGlobal")
         boundary = rrb.TimeRangeBoundary
@@ -269,7 +268,7 @@ class Pages:
             )
         else:
             begin_s, end_s = self._whole.begin_s, self._whole.end_s
-            begin_s -= gutter * (end_s - begin_s)
+            begin_s -= earlier * (end_s - begin_s)
             window = rrb.TimeRange(boundary.absolute(seconds=begin_s), boundary.absolute(seconds=end_s))
         return rrb.TimeAxis(link="Independent", view_range=window)
 

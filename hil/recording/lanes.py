@@ -106,12 +106,12 @@ def lane_column(track: str, labels: Sequence[str | None]) -> "rr.ComponentColumn
     return rr.ComponentColumn(track, rr.AnyBatchValue(track, pa.array(labels, pa.string())))
 
 
-def lane(track: str, axes: Sequence[str]) -> "Visualizer":
-    """A lane of a view: below the words of its track, in the colours of its labels."""
+def lane(track: str, colors: Mapping[str, int]) -> "Visualizer":
+    """A lane of a view: below the words of its track, in the colours of its labels, as far as they are
+    known."""
     import rerun as rr
     from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
-    colors = lane_colors(track, axes)
     source = VisualizerComponentMapping(
         "StateChange:state", ComponentSourceKind.SourceComponent, source_component=track
     )

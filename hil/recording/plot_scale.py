@@ -26,6 +26,25 @@ _MARGIN: Final = 0.15
 """Margin on each side, as a share of the range: a curve does not lie upon the frame."""
 
 
+LANE_GUTTER: Final = 31 / 988
+"""Share of a plot's width taken by labels like 1 000 at its left, which the lanes do not have."""
+_COLUMN_WIDTH_PX: Final = 1344
+_CHARACTER_PX, _SPACE_PX, _USUAL_PX = 7.6, 2.4, 4 * 7.6 + 2.4
+"""Of a digit, of the space before three digits, and of the label 1 000."""
+
+
+def gutter(low_high: Range | None) -> float:
+    """Return by which share of its width a plot has to begin earlier, so that its time zero stands below that
+    of one whose labels are like 1 000; negative where its own are wider."""
+    if low_high is None:
+        return 0.0
+    decade = _decade(low_high)
+    ends = math.ceil(low_high[0] / decade), math.floor(low_high[1] / decade)
+    labels = (f"{end * decade:.{max(0, -round(math.log10(decade)))}f}" for end in ends)
+    widths = (_CHARACTER_PX * len(label) + _SPACE_PX * (abs(float(label)) >= 1000) for label in labels)
+    return (_USUAL_PX - max(widths)) / _COLUMN_WIDTH_PX
+
+
 def lanes_px(lanes: int) -> float:
     """Return the height that so many lanes need."""
     return min(_STATES_PX + _LANE_PX * lanes, _STATES_PX_MAX)
@@ -65,5 +84,8 @@ def _ticks(low_high: Range | None) -> float:
     """How many steps of the power of ten that its largest value has a range is high."""
     if low_high is None:
         return 2.0
-    largest = max(map(abs, low_high))
-    return (low_high[1] - low_high[0]) / 10.0 ** math.floor(math.log10(largest))
+    return (low_high[1] - low_high[0]) / _decade(low_high)
+
+
+def _decade(low_high: Range) -> float:
+    return float(10.0 ** math.floor(math.log10(max(map(abs, low_high)))))

@@ -61,10 +61,11 @@ def event_list(origin: str) -> rrb.TextLogView:
     return rrb.TextLogView(origin=origin, name="Events", columns=columns)
 
 
-def from_zero(end_s: float) -> rrb.TimeAxis:
-    """From 0 to ``end_s``, with a little margin."""
+def from_zero(end_s: float, earlier: float = 0.0) -> rrb.TimeAxis:
+    """From 0 to ``end_s``, with a little margin; ``earlier``: so much more at the left, of the width."""
     boundary = rrb.TimeRangeBoundary
-    window = rrb.TimeRange(boundary.absolute(seconds=-0.02 * end_s), boundary.absolute(seconds=1.02 * end_s))
+    begin_s = -(0.02 + 1.04 * earlier) * end_s
+    window = rrb.TimeRange(boundary.absolute(seconds=begin_s), boundary.absolute(seconds=1.02 * end_s))
     return rrb.TimeAxis(link="Independent", view_range=window)
 
 

@@ -23,6 +23,9 @@ def picture(
         float | None, valued("--at", "S", "Cursor, s since the first cycle; default: the end.")
     ] = None,
     span: SpanOption = None,
+    size: Annotated[
+        str | None, valued("--size", "WxH", "Of the picture, px, from 800x450; default: 1920x1080.")
+    ] = None,
     paper: Annotated[
         bool, flag("--paper", "Draw speed, error, torque and delay by matplotlib, without a viewer.")
     ] = False,
@@ -34,6 +37,7 @@ def picture(
 
     Examples:
       hil picture runs/monday monday.png
+      hil picture runs/monday slide.png --size 3840x2160
       hil picture runs/monday monday.svg --paper
     """
     if span is not None and at is None:
@@ -42,8 +46,9 @@ def picture(
         raise BadInput("OUT", "", str(out), "a file in an existing folder")
     window = (None, None) if at is None or span is None else (at - span / 2, at + span / 2)
     if paper:
-        if page is not None:
-            raise BadInput("--page", "", page, "no --paper beside it")
+        for option, value in (("--page", page), ("--size", size)):
+            if value is not None:
+                raise BadInput(option, "", value, "no --paper beside it")
         from servobench.hil.recorded.paper import paper_figure, save_figure
         from servobench.hil.recorded.recorded_run import open_run, signals_of
 
@@ -58,5 +63,16 @@ def picture(
         from servobench.hil.recorded.viewer import draw_page
 
         tell_seal = partial(note_seal, run)
-        write_file("OUT", out, draw_page(run, page, at, window, unsealed=unsealed, tell_seal=tell_seal))
+        pixels = _pixels(size or "1920x1080")
+        png = draw_page(run, page, at, window, size=pixels, unsealed=unsealed, tell_seal=tell_seal)
+        write_file("OUT", out, png)
     say_written(out)
+
+
+def _pixels(size: str) -> tuple[int, int]:
+    """Raises BadInput."""
+    width, _, height = size.partition("x")
+    pixels = tuple(int(part) if part.isascii() and part.isdigit() else 0 for part in (width, height))
+    if not all(least <= part <= 8192 for part, least in zip(pixels, (800, 450), strict=True)):
+        raise BadInput("--size", "", size, "WIDTHxHEIGHT in px, from 800x450 to 8192x8192")
+    return pixels[0], pixels[1]

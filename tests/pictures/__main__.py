@@ -27,8 +27,12 @@ Drawn = tuple[str, list[str]]
 """Name of a picture, and what is wrong with it."""
 
 
+_OTHER_SIZES: Final = ((1366, 768), (3840, 2160))
+
+
 def draw(case: Case, recording: Path, out: Path) -> list[Drawn]:
-    """What a user sees on opening it, and the other pages, as ``out``/NAME.png and ``out``/NAME-PAGE.png."""
+    """What a user sees on opening it, and the other pages, as ``out``/NAME.png, ``out``/NAME-PAGE.png and
+    ``out``/NAME-WIDTH.png."""
     with headless_viewer() as viewer:
         viewer.show(page_file(recording))
         viewer.put_cursor(None)
@@ -36,6 +40,11 @@ def draw(case: Case, recording: Path, out: Path) -> list[Drawn]:
         for page in viewer.pages()[1:] if case.pages else ():
             viewer.turn_to(page)
             drawn.append(_judged(f"{case.name}-{page.replace('/', '-')}", viewer.picture(), out, None))
+    for size in _OTHER_SIZES if case.sizes else ():
+        with headless_viewer(size) as viewer:
+            viewer.show(page_file(recording))
+            viewer.put_cursor(None)
+            drawn.append(_judged(f"{case.name}-{size[0]}", viewer.picture(), out, case))
     return drawn
 
 

@@ -33,6 +33,8 @@ class Case:
     """On that page; see :func:`tests.pictures.pixels.complaints`."""
     pages: bool = False
     """All its pages are drawn, not only the one that it opens with."""
+    sizes: bool = False
+    """The page that it opens with is drawn for a small screen and a large one, too."""
 
 
 def faults_of(kind: str) -> Mapping[str, Any]:
@@ -112,12 +114,15 @@ _STOPPED: Final[Mapping[str, Mapping[str, Any]]] = {
 
 def cases() -> Iterator[Case]:
     """All, those of most use first."""
-    yield Case("no-fault", made.run("ling2012.toml", _QUIET), seen=_PASSED)
+    yield Case("no-fault", made.run("ling2012.toml", _QUIET), seen=_PASSED, sizes=True)
     yield Case("no-limit", made.run("ling2012.toml", _NO_LIMIT, VerdictKind.NOTHING_ASKED), seen=_UNASKED)
     for seconds in (2, 59, 61):
         lasts = {"bench.duration_s": float(seconds)}
-        yield Case(f"passed-{seconds}s", made.run("ling2012.toml", lasts), seen={"fault": True}, pages=True)
-    yield Case("three-axes", made.run("three_axes.toml", {}), ("speed", "torque", "error"), pages=True)
+        opened = made.run("ling2012.toml", lasts)
+        yield Case(f"passed-{seconds}s", opened, seen={"fault": True}, pages=True, sizes=seconds == 2)
+    yield Case(
+        "three-axes", made.run("three_axes.toml", {}), ("speed", "torque", "error"), pages=True, sizes=True
+    )
     yield Case("position", made.run("position_csp.toml", {}), _HIDDEN, pages=True)
     yield Case("own-controller", made.run("own_controller/mpc.toml", {}), pages=True)
     yield Case("interrupted", made.interrupted, seen={"red": True})

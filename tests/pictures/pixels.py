@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 Color = tuple[int, int, int]
 CURVES: Final[Mapping[str, Color]] = {
-    "speed": (84, 176, 255),
-    "error": (255, 168, 60),
-    "torque": (112, 224, 128),
-    "delay": (255, 214, 92),
-    "clock": (200, 160, 255),
+    "speed": (108, 148, 251),
+    "error": (252, 170, 0),
+    "torque": (73, 212, 138),
+    "delay": (204, 206, 20),
+    "clock": (84, 58, 250),
 }
 """What a line of a plot is drawn in, and below limits and bars: as a person sees them on the pages."""
-LIMIT: Final[Color] = (255, 122, 66)
+LIMIT: Final[Color] = (185, 35, 8)
 BARS: Final[Mapping[str, Color]] = {"fault": (217, 165, 32), "red": (179, 32, 42), "good": (21, 101, 192)}
 """Of lanes."""
 _BACKGROUND: Final = np.array((13.0, 16.0, 17.0))
@@ -54,11 +54,12 @@ class Reach(NamedTuple):
 
 
 class Picture:
-    """Of a page of 1920 x 1080."""
+    """Of a page; lengths in px are those of one of 1920 x 1080."""
 
     def __init__(self, pixels: NDArray[np.float64]) -> None:
         """``pixels``: (height, width, 3), 0 to 255."""
-        self._column = pixels[_TOP:, : round(pixels.shape[1] * _COLUMN)] - _BACKGROUND
+        self._scale = pixels.shape[0] / 1080
+        self._column = pixels[self._px(_TOP) :, : round(pixels.shape[1] * _COLUMN)] - _BACKGROUND
 
     @classmethod
     def of_png(cls, png: bytes) -> "Picture":
@@ -83,19 +84,22 @@ class Picture:
         """How wide the widest gap in a curve is, left of its legend."""
         columns = np.flatnonzero(self._alike(color, _ALIKE, _BRIGHT).any(axis=0))
         shown = columns[columns < (1.0 - _EDGE) * self._column.shape[1]]
-        return int(np.diff(shown).max(initial=1)) - 1
+        return round((int(np.diff(shown).max(initial=1)) - 1) / self._scale)
 
     def bar_px(self, color: Color) -> int:
         """How wide the bars of lanes in a colour are, all together."""
-        alike = self._alike(color)
-        whole = np.ones_like(alike[_BAR_PX:])
-        for row in range(_BAR_PX):
-            whole &= alike[row : row - _BAR_PX]
+        alike, high = self._alike(color), self._px(_BAR_PX)
+        whole = np.ones_like(alike[high:])
+        for row in range(high):
+            whole &= alike[row : row - high]
         return int(whole.any(axis=0).sum())
 
     def line_px(self, color: Color) -> int:
         """How long the longest level line in a colour is."""
-        return int(self._alike(color).sum(axis=1).max())
+        return round(int(self._alike(color).sum(axis=1).max()) / self._scale)
+
+    def _px(self, length: float) -> int:
+        return round(length * self._scale)
 
     def _alike(self, color: Color, least: float = _ALIKE, faint: float = _FAINT) -> NDArray[np.bool_]:
         sought = np.array(color) - _BACKGROUND

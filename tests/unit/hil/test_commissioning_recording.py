@@ -15,7 +15,7 @@ from servobench.hil.recorded.commissioning_page import commissioning_page
 from servobench.hil.rows.run_files import COMMISSIONING_RECORDING, EVENTS_FILE
 from tests.commissioning import unknown_world
 from tests.recorded_frames import candump, directions
-from tests.rrd_columns import columns, numbers
+from tests.rrd_columns import columns, lane, numbers
 
 
 def events(folder: Path) -> list[dict[str, Any]]:
@@ -83,11 +83,11 @@ def test_a_folder_of_a_commissioning_is_no_run(commissioned: Path) -> None:
 
 def test_its_page_has_the_steps_the_states_and_the_shaft(commissioned: Path) -> None:
     page = commissioning_page(commissioned)
-    at, steps = columns(page, "/state/1_step", "StateChange:state")
+    at, steps = lane(page, "step")
     told = [event for event in events(commissioned) if event.get("track") == "step"]
     assert at.tolist() == [event["at_ns"] for event in told]
     assert len(steps) == len(told)
-    _, states = columns(page, "/state/2_drive", "StateChange:state")
+    _, states = lane(page, "drive")
     assert ["Operation enabled"] in states
     assert ["Quick stop active"] in states, "the proof of the watch"
     _, texts = columns(page, "/events", "TextLog:text")

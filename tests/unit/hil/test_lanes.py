@@ -7,7 +7,6 @@ from typing import Any, Final, cast
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from servobench.drivers.timebase import NS_PER_MS
 from servobench.hil.recording.lanes import (
@@ -17,11 +16,13 @@ from servobench.hil.recording.lanes import (
     in_order,
     lane_colors,
 )
+from servobench.hil.recording.page_series import AXIS_COLORS, LIMIT_SERIES, SERIES
 from servobench.hil.reviewing.envelope import CodeLane, Envelope
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
 from servobench.hil.rows.row_states import LabelChange
 from servobench.hil.verdict.limits import VerdictLimits
+from tests.colour_sight import apart, contrast
 
 AXES: Final = ("axis1", "left arm")
 RED, GOOD, AMBER, DIM, DARK = 0xB3202AFF, 0x1565C0FF, 0xD9A520FF, 0x3F4650FF, 0x1B1E23FF
@@ -139,43 +140,10 @@ def test_a_fault_that_is_told_again_began_the_first_time_and_one_that_never_bega
     assert faults.lanes(0, 400) == {"injected loss": changes((0, "-"), (10, "Injected"), (20, "-"))}
 
 
-# Machado, Oliveira, Fernandes 2009: what is seen without one kind of cones, of linear RGB
-SEEN_BY: Final = {
-    "all": np.eye(3),
-    "protanopia": np.array(
-        [
-            [0.152286, 1.052583, -0.204868],
-            [0.114503, 0.786281, 0.099216],
-            [-0.003882, -0.048116, 1.051998],
-        ]
-    ),
-    "deuteranopia": np.array(
-        [
-            [0.367322, 0.860646, -0.227968],
-            [0.280085, 0.672501, 0.047413],
-            [-0.011820, 0.042940, 0.968881],
-        ]
-    ),
-}
-TO_XYZ: Final = np.array(
-    [
-        [0.4124564, 0.3575761, 0.1804375],
-        [0.2126729, 0.7151522, 0.0721750],
-        [0.0193339, 0.1191920, 0.9503041],
-    ]
-)
+def rgb(rgba: int) -> tuple[int, int, int]:
+    return rgba >> 24 & 255, rgba >> 16 & 255, rgba >> 8 & 255
 
 
-def cielab(rgba: int, seen: NDArray[np.float64]) -> NDArray[np.float64]:
-    """L*, a*, b* of an sRGB colour under D65, as one sees it."""
-    coded = np.array([rgba >> 24 & 255, rgba >> 16 & 255, rgba >> 8 & 255]) / 255.0
-    linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
-    xyz = TO_XYZ @ np.clip(seen @ linear, 0.0, 1.0) / np.array([0.95047, 1.0, 1.08883])
-    x, y, z = np.where(xyz > 216 / 24389, np.cbrt(xyz), (24389 / 27 * xyz + 16) / 116)
-    return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
-
-
-@pytest.mark.parametrize("eye", SEEN_BY)
 @pytest.mark.parametrize(
     ("track", "labels"),
     [
@@ -185,13 +153,34 @@ def cielab(rgba: int, seen: NDArray[np.float64]) -> NDArray[np.float64]:
         ("axis1 drive", ("Operation enabled", "Fault")),
         ("axis1 link", ("OK", "DEGRADED", "DOWN")),
         ("host", ("In time", "MISSED")),
+        ("limits", ("Kept", "BROKEN")),
     ],
 )
-def test_good_and_bad_differ_for_the_colour_blind_too(eye: str, track: str, labels: Sequence[str]) -> None:
+def test_good_and_bad_differ_for_the_colour_blind_too(track: str, labels: Sequence[str]) -> None:
     colors = lane_colors(track, AXES)
-    seen = [cielab(colors[label], SEEN_BY[eye]) for label in labels]
-    for one, other in combinations(seen, 2):
-        assert np.linalg.norm(one - other) >= 40.0
+    for one, other in combinations(labels, 2):
+        assert apart(rgb(colors[one]), rgb(colors[other])) >= 40.0
+
+
+DARK_GROUND, LIGHT_GROUND = (13, 16, 17), (255, 255, 255)
+"""Grounds of the viewer's plots."""
+
+
+@pytest.mark.parametrize(
+    "plot", ["speed", "error", "position", "position_error", "torque", "delay", "commands", "clock"]
+)
+def test_lines_of_a_plot_differ_for_the_colour_blind_too_and_are_seen_on_both_grounds(plot: str) -> None:
+    lines = {each.color for each in (*SERIES, *LIMIT_SERIES) if each.path.startswith(f"{plot}/")}
+    for one, other in combinations(sorted(lines), 2):
+        assert apart(one, other) >= 40.0
+    for color in lines:
+        assert contrast(color, DARK_GROUND) >= 2.9
+        assert contrast(color, LIGHT_GROUND) >= 1.65
+
+
+def test_axes_in_one_plot_differ_for_the_colour_blind_too() -> None:
+    for one, other in combinations(AXIS_COLORS, 2):
+        assert apart(one, other) >= 40.0
 
 
 # ---- errors -------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from servobench.drivers.timebase import NS_PER_S
 from servobench.hil.recorded import viewer
 from servobench.hil.recorded.viewer import HeadlessViewer, page_file
 from servobench.hil.recording import serving
-from servobench.hil.recording.blueprint import GUTTER
+from servobench.hil.recording.plot_scale import LANE_GUTTER
 from servobench.virtual_bus.timeline import SimulatedClock, Timeline
 
 
@@ -68,6 +68,9 @@ class Client:
     def set_blueprint(self, tree: dict[str, Any], store_id: str) -> None:
         self.tree = tree
         self.sent.append(("blueprint", store_id))
+
+    def run_command(self, command: str) -> None:
+        self.sent.append(command)
 
     def set_time(self, timeline: str, duration: float, play_state: str) -> None:
         self.sent.append((timeline, duration, play_state))
@@ -128,7 +131,7 @@ def test_another_stretch_of_time_is_put_into_every_view_with_a_time_axis(
     assert plot["link"] == "Independent"
     assert plot["view_range"] == {"start": {"Absolute": NS_PER_S}, "end": {"Absolute": 3 * NS_PER_S}}
     lanes = client.tree["/view/b/TimeAxis"]["TimeAxis"]["view_range"]
-    assert lanes["start"] == {"Absolute": round((1.0 - GUTTER * 2.0) * NS_PER_S)}
+    assert lanes["start"] == {"Absolute": round((1.0 - LANE_GUTTER * 2.0) * NS_PER_S)}
     assert lanes["end"] == {"Absolute": 3 * NS_PER_S}
     assert "TimeAxis" not in client.tree["/view/a"]
     assert client.tree["/view/a/ScalarAxis"] == {"ScalarAxis": {"range": None}}, "as high as what is seen"
@@ -208,3 +211,21 @@ def test_what_is_opened_of_a_folder(tmp_path: Path) -> None:
     campaign.touch()
     assert page_file(tmp_path) == campaign
     assert page_file(run) == run
+
+
+@pytest.mark.parametrize(
+    ("size", "commands"),
+    [
+        ((1920, 1080), []),
+        ((1366, 768), ["ui.zoom_out_ui"] * 3),
+        ((3840, 2160), ["ui.zoom_in_ui"] * 10),
+        ((1920, 540), ["ui.zoom_out_ui"] * 5),
+        ((800, 450), ["ui.zoom_out_ui"] * 5),
+        ((8192, 8192), ["ui.zoom_in_ui"] * 30),
+    ],
+)
+def test_a_page_is_drawn_as_large_as_its_window_holds_all_of_it(
+    client: Client, size: tuple[int, int], commands: list[str]
+) -> None:
+    HeadlessViewer(client, size)  # type: ignore[arg-type]
+    assert client.sent == commands

@@ -206,7 +206,8 @@ def test_a_page_is_turned_to_moved_and_taken(
     )
 
     @contextmanager
-    def viewers() -> Iterator[Any]:
+    def viewers(size: tuple[int, int]) -> Iterator[Any]:
+        assert size == (1920, 1080)
         log.append("begins")
         yield shown
         log.append("ends")
