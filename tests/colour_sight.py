@@ -40,7 +40,8 @@ def seen(colors: ArrayLike, sight: str) -> NDArray[np.float64]:
     """Linear RGB, 0 to 1, of sRGB colours, (..., 3), 0 to 255."""
     coded = np.asarray(colors, np.float64) / 255.0
     linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
-    return np.clip(linear @ SIGHTS[sight].T, 0.0, 1.0)
+    through: NDArray[np.float64] = linear @ SIGHTS[sight].T
+    return through.clip(0.0, 1.0)
 
 
 def cielab(colors: ArrayLike, sight: str) -> NDArray[np.float64]:

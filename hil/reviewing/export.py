@@ -30,8 +30,8 @@ from servobench.hil.rows.records_file import (
     check_records,
     column_of,
     damage_told,
-    is_whole,
     refuse_later_format,
+    refuse_without_end,
 )
 from servobench.hil.rows.run_files import FRAMES_FILE, RECORDS_FILE, not_a_recording
 from servobench.hil.rows.seal import NOT_CHECKED, SEALED, check_seal, seal_of
@@ -53,11 +53,7 @@ class RecordedRows:
         self.path = folder / RECORDS_FILE
         if not self.path.is_file():
             raise not_a_recording(folder, RECORDS_FILE)
-        if not is_whole(self.path):
-            remedy = f"once it has ended: hil recover {folder}"
-            raise BadInput(
-                str(self.path), "", "no end of the file", "the recording of a run that has ended", remedy
-            )
+        refuse_without_end(folder)
         self.seal = NOT_CHECKED if unsealed else check_seal(folder)
         with damage_told(self.path):
             self.schema = self._open(None).schema

@@ -24,7 +24,7 @@ from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import Instant
 from servobench.hil.loop.cycle_record import COLUMNS, FATE_SAMPLE, NAMES, NOTHING, Column
 from servobench.hil.rows.records import ROW_DTYPE, Rows
-from servobench.hil.rows.run_files import FORMAT
+from servobench.hil.rows.run_files import FORMAT, RECORDS_FILE
 
 MAGIC = b"ARROW1\0\0"
 _MAGIC_END = b"ARROW1"
@@ -208,6 +208,14 @@ def _schema_of(path: Path) -> pa.Schema | None:
             return _stream(source).schema
         except (pa.ArrowException, OSError):
             return None
+
+
+def refuse_without_end(folder: Path) -> None:
+    """Raise BadInput if the records of a run have not come to their end, or have lost it."""
+    path = folder / RECORDS_FILE
+    if not is_whole(path):
+        remedy = f"once it has ended: hil recover {folder}"
+        raise BadInput(str(path), "", "no end of the file", "the recording of a run that has ended", remedy)
 
 
 def is_whole(path: Path) -> bool:

@@ -8,7 +8,7 @@ import typer
 
 from servobench.drivers.errors import BadInput
 from servobench.hil.terminal.options import RunArgument, SpanOption, UnsealedOption, flag, valued
-from servobench.hil.terminal.output import note_seal, say_written
+from servobench.hil.terminal.output import note_seal, say, say_written
 
 
 def picture(
@@ -51,9 +51,13 @@ def picture(
                 raise BadInput(option, "", value, "no --paper beside it")
         from servobench.hil.recorded.paper import paper_figure, save_figure
         from servobench.hil.recorded.recorded_run import open_run, signals_of
+        from servobench.hil.rows.records_file import is_whole
+        from servobench.hil.rows.run_files import RECORDS_FILE
 
         opened = open_run(run, unsealed=unsealed)
         note_seal(run, opened.seal)
+        if not is_whole(records := opened.folder / RECORDS_FILE):
+            say(f"hil: note: {records}: no end of the file; drawn as far as it goes")
         figure = paper_figure(signals_of(opened, *window))
         save_figure(figure, out)
     else:

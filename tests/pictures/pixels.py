@@ -58,7 +58,7 @@ class Picture:
 
     def __init__(self, pixels: NDArray[np.float64]) -> None:
         """``pixels``: (height, width, 3), 0 to 255."""
-        self._scale = pixels.shape[0] / 1080
+        self._scale: float = pixels.shape[0] / 1080
         self._column = pixels[self._px(_TOP) :, : round(pixels.shape[1] * _COLUMN)] - _BACKGROUND
 
     @classmethod

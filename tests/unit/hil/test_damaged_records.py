@@ -116,3 +116,16 @@ def test_a_batch_of_twenty_million_rows_is_refused_before_it_is_unpacked(run: Pa
     assert ended.returncode == 2, ended.stderr
     assert f"batch 1: found '{rows} rows', expected at most {BATCH_ROWS_MAX}" in ended.stderr
     assert int(ended.stdout) < 800_000, "kB"
+
+
+def test_half_a_file_is_not_compared_and_is_drawn_as_far_as_it_goes(run: Path, tmp_path: Path) -> None:
+    """Its rows are those of the whole one, as far as they go: a gate would pass them."""
+    half = Path(shutil.copytree(run, tmp_path / "half"))
+    records = half / "records.arrow"
+    records.write_bytes(records.read_bytes()[:-100])
+    compared = CliRunner().invoke(app, ["compare", str(run), str(half), "--unsealed"])
+    assert compared.exit_code == 2
+    drawn = CliRunner().invoke(app, ["picture", str(half), str(half / "out.svg"), "--paper", "--unsealed"])
+    assert drawn.exit_code == 0
+    assert f"hil: note: {records}: no end of the file; drawn as far as it goes" in drawn.stderr
+    assert (half / "out.svg").exists()
