@@ -37,7 +37,7 @@ def peaks(asked: PeaksOptions) -> None:
     the controller was made for, and so are the delays.
 
     Examples:
-      hil analyse peaks fused.toml --losses-max 2 --command-losses-max 1
+      hil analyse peaks examples/controllers/ling2012-fused.toml --losses-max 1
     """
     from servobench.hil.configuration.bench_file import load_controller
     from servobench.hil.studies.speed.loss_peaks import peaks_figures

@@ -381,6 +381,15 @@ def test_version_and_help() -> None:
         assert hil(*command).exit_code == 0
 
 
+def test_the_plug_in_costs_the_tests_of_other_projects_three_modules() -> None:
+    program = (
+        "import sys, pytest; before = set(sys.modules); import servobench.hil.pytest_plugin; "
+        "print(*sorted(set(sys.modules) - before))"
+    )
+    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert found.stdout.split() == ["servobench", "servobench.hil", "servobench.hil.pytest_plugin"]
+
+
 def test_help_loads_nothing_heavy() -> None:
     heavy = {"numpy", "pydantic", "rerun", "can", "canopen", "scipy"}
     program = f"import sys, servobench.hil.cli; print(sorted({heavy!r} & set(sys.modules)))"
