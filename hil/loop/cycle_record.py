@@ -1,8 +1,8 @@
 """The record of a cycle, and its packed form: one row of fixed size, little endian, on every machine.
 
-A column stands here alone, as one call in :func:`_pack` or below it: its name, unit, meaning and value. The
-rows of the ring, the columns of ``records.arrow`` and the documentation's page of columns follow from it. A
-value that only the loop has is a field of :class:`CycleRecord` besides, which the axis sets.
+A column is named and described in :data:`COLUMNS`, and written at the same place of :func:`row_of`; a value
+that only the loop has is a field of :class:`CycleRecord` besides, which the axis sets. The rows of the ring,
+the columns of ``records.arrow`` and the documentation's page of columns follow.
 """
 
 import math
@@ -14,26 +14,21 @@ from librt.strings import BytesWriter, write_f64_le, write_i64_le
 from mypy_extensions import mypyc_attr
 
 from servobench.drivers.cia402.readings import NEVER_TOLD
-from servobench.drivers.exchange import Command, PositionCommand, Reading, SpeedCommand
+from servobench.drivers.exchange import Command, PositionCommand, SpeedCommand
 from servobench.drivers.record import Record
 from servobench.drivers.timebase import Duration, Instant
 from servobench.hil.loop.context import CHANNELS_MAX
 from servobench.hil.loop.samples import (
-    AT_REST,
     CommandFate,
     Dropout,
     DropoutCause,
     Observation,
-    Sample,
     Sending,
     StateEstimate,
 )
 
 NOTHING: Final = -(2**63)
 """Represents None: no instant of any clock, no delay and no count has this value."""
-
-Codes = tuple[str, ...]
-"""Meanings of a column's numbers, from 0 on."""
 
 FATE_SAMPLE: Final = 0
 CAUSES: tuple[DropoutCause, ...] = (
@@ -44,7 +39,6 @@ CAUSES: tuple[DropoutCause, ...] = (
 )
 """``fate`` of a dropout is its cause's place here, counted from 1."""
 FATE_MISSED: Final = 1 + CAUSES.index(DropoutCause.MISSED)
-_FATES: Codes = ("sample", *[cause.value for cause in CAUSES])
 COMMAND_FATES: tuple[CommandFate, ...] = (
     CommandFate.NOT_MEASURED,
     CommandFate.ACTING,
@@ -54,13 +48,8 @@ COMMAND_FATES: tuple[CommandFate, ...] = (
     CommandFate.NOT_SENT,
 )
 """``command_fate`` is the fate's place here; :data:`NOTHING` for a command that was not sent."""
-_COMMAND_FATES: Codes = tuple([fate.value for fate in COMMAND_FATES])
 
 RUN_TIME: Final = "ns since the first cycle"
-_CHANNELS: tuple[str, ...] = tuple([f"channel_{number}" for number in range(CHANNELS_MAX)])
-_CHANNEL_MEANINGS: tuple[str, ...] = tuple(
-    [f"what the controller told as number {number} of its channels" for number in range(CHANNELS_MAX)]
-)
 
 
 @mypyc_attr(free_list_len=1)
@@ -105,7 +94,8 @@ class Column(NamedTuple):
     unit: str
     """Empty for a plain number."""
     meaning: str
-    codes: Codes = ()
+    codes: tuple[str, ...] = ()
+    """Meanings of its numbers, from 0 on."""
     none: int = NOTHING
     """A further value for nothing in a packed row, in addition to NOTHING."""
 
@@ -120,176 +110,199 @@ class Column(NamedTuple):
         return self.kind == "float64"
 
 
-class PackedRow:
-    """A row in the making: each call writes one column, and describes it."""
+def _instant(name: str, meaning: str, none: int = NOTHING) -> Column:
+    return Column(name, "int64", RUN_TIME, meaning, none=none)
 
-    def __init__(self, columns: list[Column] | None = None) -> None:
-        """``columns``: gets the descriptions; None: nobody asks for them."""
-        self.bytes = BytesWriter()
-        self._columns = columns
 
-    def whole(
-        self, name: str, unit: str, meaning: str, value: int, kind: str = "int64", codes: Codes = ()
-    ) -> None:
-        """Write a whole number."""
-        write_i64_le(self.bytes, value)
-        if self._columns is not None:
-            self._columns.append(Column(name, kind, unit, meaning, codes))
+def _number(name: str, unit: str, meaning: str) -> Column:
+    return Column(name, "float64", unit, meaning)
 
-    def whole_if(self, name: str, unit: str, meaning: str, value: int | None) -> None:
-        """Write a whole number, if there is one."""
-        write_i64_le(self.bytes, NOTHING if value is None else value)
-        if self._columns is not None:
-            self._columns.append(Column(name, "int64", unit, meaning))
 
-    def instant(self, name: str, meaning: str, value: int) -> None:
-        """Write an instant."""
-        self.whole(name, RUN_TIME, meaning, value)
+COLUMNS: tuple[Column, ...] = (
+    # CycleRecord
+    Column("sequence", "int64", "", "number of the planned cycle, from 1"),
+    Column("axis", "int16", "", "place of the axis in the list 'axes' of the file's metadata"),
+    _instant("due_at", "the tick of the cycle"),
+    _instant("woke_at", "when the host came for it; null if it did not"),
+    _instant("sync_handed_at", "when its SYNC was handed to the bus; null without SYNC"),
+    _instant("sync_on_bus_at", "end of its SYNC on the bus; null if it is not known to have come there"),
+    # its observation
+    Column(
+        "fate",
+        "int8",
+        "",
+        "what came of its reading",
+        ("sample", *[cause.value for cause in CAUSES]),
+    ),
+    Column("certain", "bool", "", "whether the data decide which SYNC the reading answers"),
+    _instant("sampled_at", "end of that SYNC at the drive; null for a dropout, as all of the reading"),
+    Column("sampled_at_error_ns", "int64", "ns", "half the width of the interval that holds sampled_at"),
+    # the reading of a Sample
+    _number("velocity_rad_s", "rad/s", "measured speed"),
+    Column("device_time_ns", "int64", "ns on the drive's clock", "the drive's own stamp of the sample"),
+    _instant("received_at", "bus stamp of the frame that carries the speed"),
+    _number("position_rad", "rad", "position, carried on by the speed since it was told"),
+    _instant("position_told_at", "bus stamp of the frame that told the position", NEVER_TOLD),
+    _number("torque_nm", "N m", "measured torque as last told"),
+    _instant("torque_told_at", "bus stamp of the frame that told the torque", NEVER_TOLD),
+    Column("statusword", "int64", "", "object 6041h as last told", none=NEVER_TOLD),
+    _instant("status_told_at", "bus stamp of the frame that told the statusword", NEVER_TOLD),
+    # CycleRecord
+    Column("delay_ns", "int64", "ns", "sampled to received, of late readings too; null if none came"),
+    # its estimate
+    _number("estimate_position_rad", "rad", "the state that the controller was given"),
+    _number("estimate_velocity_rad_s", "rad/s", "the state that the controller was given"),
+    _number("estimate_torque_nm", "N m", "the state that the controller was given"),
+    _instant("estimate_valid_at", "for when that state holds"),
+    Column("estimate_sequence", "int64", "", "cycle of the sample that it rests on; 0 before the first"),
+    # CycleRecord
+    _number("reference_rad_s", "rad/s", "speed that was asked for; of a position its rate, null of a torque"),
+    _number("load_torque_nm", "N m", "load that was asked for; positive opposes positive speed"),
+    # its command
+    _number("command_torque_nm", "N m", "torque set-point, after the limits"),
+    _instant("command_effective_at", "when it was meant to act"),
+    _instant("command_expires_at", "when it was worth nothing any more"),
+    # the way of it
+    Column("command_raw", "int64", "the unit of 6071h, 60FFh or 607Ah", "the set-point as it was sent"),
+    _instant("command_handed_at", "when it was handed to the bus; null if it was not sent"),
+    _instant("command_on_bus_at", "end of its frame on the bus; null if that is not known"),
+    Column(
+        "command_fate",
+        "int8",
+        "",
+        "what became of the command behind the bus",
+        tuple(fate.value for fate in COMMAND_FATES),
+    ),
+    _instant("command_acts_after", "the latest instant known at which it did not act yet"),
+    _instant("command_acts_by", "the earliest instant known at which it acted"),
+    # CycleRecord
+    _instant("clock_offset_ns", "run time minus the drive's clock, by the map of that clock"),
+    Column("clock_error_ns", "int64", "ns", "error of an instant that this map places"),
+    Column("compute_ns", "int64", "ns", "what compensator and controller took, by the host's own clock"),
+    # of its channels
+    *(
+        _number(f"channel_{number}", "", f"what the controller told as number {number} of its channels")
+        for number in range(CHANNELS_MAX)
+    ),
+    # CycleRecord, of a reference that is no speed
+    _number("reference_position_rad", "rad", "position that was asked for; null of another reference"),
+    _number("reference_torque_nm", "N m", "torque that was asked for; null of another reference"),
+    # its command, where that is no torque
+    _number("command_speed_rad_s", "rad/s", "speed set-point, after the limits; null of another command"),
+    _number("command_position_rad", "rad", "position set-point, after the limits; null of another command"),
+)
+"""In the order in which the records nest."""
 
-    def instant_if(self, name: str, meaning: str, value: int | None) -> None:
-        """Write an instant, if there is one."""
-        self.whole_if(name, RUN_TIME, meaning, value)
+NAMES: tuple[str, ...] = tuple([column.name for column in COLUMNS])
+ROW: Final = struct.Struct("<" + "".join(["d" if column.is_real else "q" for column in COLUMNS]))
+_NOTHINGS: Final = ROW.pack(*[math.nan if column.is_real else NOTHING for column in COLUMNS])
 
-    def told(self, name: str, unit: str, meaning: str, value: int) -> None:
-        """Write a number that a reading may lack: NEVER_TOLD."""
-        write_i64_le(self.bytes, value)
-        if self._columns is not None:
-            self._columns.append(Column(name, "int64", unit, meaning, none=NEVER_TOLD))
 
-    def real(self, name: str, unit: str, meaning: str, value: float) -> None:
-        """Write a real number; NaN: there is none."""
-        write_f64_le(self.bytes, value)
-        if self._columns is not None:
-            self._columns.append(Column(name, "float64", unit, meaning))
+def _nothing(first: str, behind: str) -> bytes:
+    """Return the columns from ``first`` up to the one before ``behind``, all missing."""
+    return _NOTHINGS[8 * NAMES.index(first) : 8 * NAMES.index(behind)]
 
-    def real_if(self, name: str, unit: str, meaning: str, value: float | None) -> None:
-        """Write a real number, if there is one."""
-        self.real(name, unit, meaning, math.nan if value is None else value)
+
+_NO_SAMPLE: Final = _nothing("sampled_at", "delay_ns")
+_NO_ESTIMATE: Final = _nothing("estimate_position_rad", "reference_rad_s")
+_NO_COMMAND: Final = _nothing("command_torque_nm", "command_raw")
+_NO_SENDING: Final = _nothing("command_raw", "clock_offset_ns")
 
 
 def row_of(record: CycleRecord) -> bytes:
-    """Pack ``record``: eight bytes for each of :data:`COLUMNS`."""
-    row = PackedRow()
-    _pack(row, record)
-    return row.bytes.getvalue()
+    """Pack ``record`` into ROW.size bytes."""
+    row = BytesWriter()
+    write_i64_le(row, record.sequence)
+    write_i64_le(row, record.axis)
+    write_i64_le(row, record.due_at)
+    _write(row, record.woke_at)
+    _write(row, record.sync_handed_at)
+    _write(row, record.sync_on_bus_at)
+    _write_observation(row, record.observation)
+    _write(row, record.delay)
+    _write_estimate(row, record.estimate)
+    write_f64_le(row, record.reference_rad_s)
+    write_f64_le(row, record.load_torque_nm)
+    _write_command(row, record.command)
+    _write_sending(row, record.sending)
+    _write(row, record.clock_offset_ns)
+    _write(row, record.clock_error_ns)
+    _write(row, record.compute_ns)
+    _write_channels(row, record.channels)
+    write_f64_le(row, math.nan if record.reference_rad is None else record.reference_rad)
+    write_f64_le(row, math.nan if record.reference_nm is None else record.reference_nm)
+    _write_other_command(row, record.command)
+    return row.getvalue()
 
 
-def _pack(row: PackedRow, record: CycleRecord) -> None:
-    """Write all columns, in the order in which the records nest."""
-    row.whole("sequence", "", "number of the planned cycle, from 1", record.sequence)
-    row.whole("axis", "", "place of the axis in the list 'axes' of the file's metadata", record.axis, "int16")
-    row.instant("due_at", "the tick of the cycle", record.due_at)
-    row.instant_if("woke_at", "when the host came for it; null if it did not", record.woke_at)
-    handed = "when its SYNC was handed to the bus; null without SYNC"
-    row.instant_if("sync_handed_at", handed, record.sync_handed_at)
-    on_bus = "end of its SYNC on the bus; null if it is not known to have come there"
-    row.instant_if("sync_on_bus_at", on_bus, record.sync_on_bus_at)
-    _pack_observation(row, record.observation)
-    row.whole_if(
-        "delay_ns", "ns", "sampled to received, of late readings too; null if none came", record.delay
-    )
-    _pack_estimate(row, record.estimate)
-    asked = "speed that was asked for; of a position its rate, null of a torque"
-    row.real("reference_rad_s", "rad/s", asked, record.reference_rad_s)
-    load = "load that was asked for; positive opposes positive speed"
-    row.real("load_torque_nm", "N m", load, record.load_torque_nm)
-    _pack_command(row, record.command)
-    _pack_sending(row, record.sending)
-    offset = "run time minus the drive's clock, by the map of that clock"
-    row.instant_if("clock_offset_ns", offset, record.clock_offset_ns)
-    row.whole_if("clock_error_ns", "ns", "error of an instant that this map places", record.clock_error_ns)
-    taken = "what compensator and controller took, by the host's own clock"
-    row.whole_if("compute_ns", "ns", taken, record.compute_ns)
-    _pack_channels(row, record.channels)
-    position = "position that was asked for; null of another reference"
-    row.real_if("reference_position_rad", "rad", position, record.reference_rad)
-    torque = "torque that was asked for; null of another reference"
-    row.real_if("reference_torque_nm", "N m", torque, record.reference_nm)
-    _pack_other_command(row, record.command)
+def _write(row: BytesWriter, value: int | None) -> None:
+    write_i64_le(row, NOTHING if value is None else value)
 
 
-def _pack_observation(row: PackedRow, observed: Observation) -> None:
-    fate = FATE_SAMPLE if isinstance(observed, Sample) else _fate_of(observed.cause)
-    row.whole("fate", "", "what came of its reading", fate, "int8", _FATES)
-    certain = "whether the data decide which SYNC the reading answers"
-    row.whole("certain", "", certain, int(observed.certain), "bool")
+def _write_observation(row: BytesWriter, observed: Observation) -> None:
     if isinstance(observed, Dropout):
-        row.bytes.write(_NO_SAMPLE)
+        write_i64_le(row, _fate_of(observed.cause))
+        write_i64_le(row, int(observed.certain))
+        row.write(_NO_SAMPLE)
         return
-    at = "end of that SYNC at the drive; null for a dropout, as all of the reading"
-    row.instant("sampled_at", at, observed.sampled_at)
-    error = "half the width of the interval that holds sampled_at"
-    row.whole("sampled_at_error_ns", "ns", error, observed.sampled_at_error_ns)
     reading = observed.reading
-    row.real("velocity_rad_s", "rad/s", "measured speed", reading.velocity_rad_s)
-    stamp, on_drive = "the drive's own stamp of the sample", "ns on the drive's clock"
-    row.whole_if("device_time_ns", on_drive, stamp, reading.device_time_ns)
-    row.instant("received_at", "bus stamp of the frame that carries the speed", reading.received_at)
-    carried = "position, carried on by the speed since it was told"
-    row.real("position_rad", "rad", carried, reading.position_rad)
-    at = "bus stamp of the frame that told the position"
-    row.told("position_told_at", RUN_TIME, at, reading.position_told_at)
-    row.real("torque_nm", "N m", "measured torque as last told", reading.torque_nm)
-    at = "bus stamp of the frame that told the torque"
-    row.told("torque_told_at", RUN_TIME, at, reading.torque_told_at)
-    row.told("statusword", "", "object 6041h as last told", reading.statusword)
-    at = "bus stamp of the frame that told the statusword"
-    row.told("status_told_at", RUN_TIME, at, reading.status_told_at)
+    write_i64_le(row, FATE_SAMPLE)
+    write_i64_le(row, int(observed.certain))
+    write_i64_le(row, observed.sampled_at)
+    write_i64_le(row, observed.sampled_at_error_ns)
+    write_f64_le(row, reading.velocity_rad_s)
+    _write(row, reading.device_time_ns)
+    write_i64_le(row, reading.received_at)
+    write_f64_le(row, reading.position_rad)
+    write_i64_le(row, reading.position_told_at)
+    write_f64_le(row, reading.torque_nm)
+    write_i64_le(row, reading.torque_told_at)
+    write_i64_le(row, reading.statusword)
+    write_i64_le(row, reading.status_told_at)
 
 
-def _pack_estimate(row: PackedRow, estimate: StateEstimate | None) -> None:
+def _write_estimate(row: BytesWriter, estimate: StateEstimate | None) -> None:
     if estimate is None:
-        row.bytes.write(_NO_ESTIMATE)
+        row.write(_NO_ESTIMATE)
         return
-    given = "the state that the controller was given"
-    row.real("estimate_position_rad", "rad", given, estimate.position_rad)
-    row.real("estimate_velocity_rad_s", "rad/s", given, estimate.velocity_rad_s)
-    row.real("estimate_torque_nm", "N m", given, estimate.torque_nm)
-    row.instant("estimate_valid_at", "for when that state holds", estimate.valid_at)
-    rests_on = "cycle of the sample that it rests on; 0 before the first"
-    row.whole("estimate_sequence", "", rests_on, estimate.sequence)
+    write_f64_le(row, estimate.position_rad)
+    write_f64_le(row, estimate.velocity_rad_s)
+    write_f64_le(row, estimate.torque_nm)
+    write_i64_le(row, estimate.valid_at)
+    write_i64_le(row, estimate.sequence)
 
 
-def _pack_command(row: PackedRow, command: Command | None) -> None:
+def _write_command(row: BytesWriter, command: Command | None) -> None:
     if command is None:
-        row.bytes.write(_NO_COMMAND)
+        row.write(_NO_COMMAND)
         return
-    row.real("command_torque_nm", "N m", "torque set-point, after the limits", command.torque_nm)
-    row.instant("command_effective_at", "when it was meant to act", command.effective_at)
-    row.instant("command_expires_at", "when it was worth nothing any more", command.expires_at)
+    write_f64_le(row, command.torque_nm)
+    write_i64_le(row, command.effective_at)
+    write_i64_le(row, command.expires_at)
 
 
-def _pack_other_command(row: PackedRow, command: Command | None) -> None:
+def _write_other_command(row: BytesWriter, command: Command | None) -> None:
     """Write a speed or position command."""
-    speed = command.speed_rad_s if isinstance(command, SpeedCommand) else math.nan
-    meaning = "speed set-point, after the limits; null of another command"
-    row.real("command_speed_rad_s", "rad/s", meaning, speed)
-    position = command.position_rad if isinstance(command, PositionCommand) else math.nan
-    meaning = "position set-point, after the limits; null of another command"
-    row.real("command_position_rad", "rad", meaning, position)
+    write_f64_le(row, command.speed_rad_s if isinstance(command, SpeedCommand) else math.nan)
+    write_f64_le(row, command.position_rad if isinstance(command, PositionCommand) else math.nan)
 
 
-def _pack_sending(row: PackedRow, sending: Sending | None) -> None:
+def _write_sending(row: BytesWriter, sending: Sending | None) -> None:
     if sending is None:
-        row.bytes.write(_NO_SENDING)
+        row.write(_NO_SENDING)
         return
-    row.whole("command_raw", "the unit of 6071h, 60FFh or 607Ah", "the set-point as it was sent", sending.raw)
-    at = "when it was handed to the bus; null if it was not sent"
-    row.instant("command_handed_at", at, sending.handed_at)
-    at = "end of its frame on the bus; null if that is not known"
-    row.instant_if("command_on_bus_at", at, sending.on_bus_at)
-    became = "what became of the command behind the bus"
-    row.whole("command_fate", "", became, _place_of(sending.fate), "int8", _COMMAND_FATES)
-    at = "the latest instant known at which it did not act yet"
-    row.instant_if("command_acts_after", at, sending.acts_after)
-    row.instant_if("command_acts_by", "the earliest instant known at which it acted", sending.acts_by)
+    write_i64_le(row, sending.raw)
+    write_i64_le(row, sending.handed_at)
+    _write(row, sending.on_bus_at)
+    write_i64_le(row, _place_of(sending.fate))
+    _write(row, sending.acts_after)
+    _write(row, sending.acts_by)
 
 
-def _pack_channels(row: PackedRow, channels: Sequence[float]) -> None:
+def _write_channels(row: BytesWriter, channels: Sequence[float]) -> None:
     told = len(channels)
     for place in range(CHANNELS_MAX):
-        value = channels[place] if place < told else math.nan
-        row.real(_CHANNELS[place], "", _CHANNEL_MEANINGS[place], value)
+        write_f64_le(row, channels[place] if place < told else math.nan)
 
 
 def _fate_of(cause: DropoutCause) -> int:
@@ -308,38 +321,3 @@ def _place_of(fate: CommandFate) -> int:
     if fate is CommandFate.NOT_SENT:
         return 5
     return 2 if fate is CommandFate.LOST else 0
-
-
-def _described() -> list[Column]:
-    """Return the columns of a record that lacks nothing."""
-    whole = CycleRecord()
-    whole.sequence = whole.axis = 0
-    whole.due_at = Instant(0)
-    whole.woke_at = whole.sync_handed_at = whole.sync_on_bus_at = None
-    reading = Reading(0.0, None, Instant(0), 0.0, Instant(0), 0.0, Instant(0), 0, Instant(0))
-    whole.observation = Sample(0, reading, Instant(0), 0, certain=True)
-    whole.delay, whole.estimate = None, AT_REST
-    whole.reference_rad_s = whole.load_torque_nm = 0.0
-    whole.command = Command(0, 0.0, Instant(0), Instant(0))
-    whole.sending = Sending(0, Instant(0), None, CommandFate.ACTING, None, None)
-    whole.clock_offset_ns = whole.clock_error_ns = None
-    columns: list[Column] = []
-    _pack(PackedRow(columns), whole)
-    return columns
-
-
-COLUMNS: tuple[Column, ...] = tuple(_described())
-NAMES: tuple[str, ...] = tuple([column.name for column in COLUMNS])
-ROW: Final = struct.Struct("<" + "".join(["d" if column.is_real else "q" for column in COLUMNS]))
-_NOTHINGS: Final = ROW.pack(*[math.nan if column.is_real else NOTHING for column in COLUMNS])
-
-
-def _nothing(first: str, behind: str) -> bytes:
-    """Return the columns from ``first`` up to the one before ``behind``, all missing."""
-    return _NOTHINGS[8 * NAMES.index(first) : 8 * NAMES.index(behind)]
-
-
-_NO_SAMPLE: Final = _nothing("sampled_at", "delay_ns")
-_NO_ESTIMATE: Final = _nothing("estimate_position_rad", "reference_rad_s")
-_NO_COMMAND: Final = _nothing("command_torque_nm", "command_raw")
-_NO_SENDING: Final = _nothing("command_raw", "clock_offset_ns")

@@ -129,7 +129,7 @@ def test_a_row_tells_every_field_of_its_record(kind: Callable[..., Command]) -> 
     """A field that a record has and no column is named here."""
     whole = replaced(WHOLE, command=kind(7, 9.0, Instant(16), Instant(17)))
     row = row_of(whole)
-    assert len(row) == ROW.size
+    assert len(row) == ROW.size, f"row_of writes {len(row) // 8} columns, COLUMNS has {len(NAMES)}"
     untold = {name for name, record in changed(whole) if row_of(record) == row}
     assert untold == TOLD_ONCE, f"no column tells {untold - TOLD_ONCE}: write one in cycle_record.py"
 
