@@ -36,7 +36,9 @@ def docs(
         return
     name = page.removeprefix("docs/").removesuffix(".md")
     if name not in pages:
-        near = get_close_matches(name, pages, n=1, cutoff=0.7)
-        remedy = f"is {near[0]} meant?" if near else ""
+        near = [each for each in pages if each.startswith(name)] or get_close_matches(
+            name, pages, n=1, cutoff=0.7
+        )
+        remedy = f"is {' or '.join(near)} meant?" if near else ""
         raise BadInput("PAGE", "", page, "a page that hil docs lists", remedy)
     typer.echo(_COMMENT.sub("", pages[name]), nl=False)

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO, Final, cast
 
-from servobench.drivers.errors import BadInput
+from servobench.drivers.errors import MISSING, BadInput
 from servobench.drivers.printable import printable
 from servobench.hil.reviewing.trace.capture_file import (
     PCAP_MAGICS,
@@ -177,7 +177,8 @@ def _opened(path: Path) -> Iterator[io.BufferedReader]:
             raise BadInput(str(path), "", "a folder", f"a recording, or {KINDS}")
         file = path.open("rb")
     except OSError as error:
-        raise BadInput(str(path), "", error.strerror, KINDS) from None
+        found = MISSING if isinstance(error, FileNotFoundError) else error.strerror
+        raise BadInput(str(path), "", found, KINDS) from None
     with file:
         if file.peek(2)[:2] == _GZIP_MAGIC:
             with gzip.open(file) as unpacked:

@@ -252,10 +252,24 @@ def test_the_documentation_is_listed_and_a_page_printed_without_what_only_tests_
         assert hil("docs", name).stdout == page.replace("<!-- runs -->\n", "")
 
 
-def test_a_page_that_is_none_is_refused() -> None:
-    told = hil("docs", "instal")
-    expected = "hil: error: PAGE: found 'instal', expected a page that hil docs lists; is install meant?\n"
+@pytest.mark.parametrize(
+    ("page", "remedy"),
+    [
+        ("instal", "; is install meant?"),
+        ("instoll", "; is install meant?"),
+        ("tutorial", "; is tutorial-commissioning or tutorial-pytest or tutorial-review meant?"),
+        ("xyz", ""),
+    ],
+)
+def test_a_page_that_is_none_is_refused(page: str, remedy: str) -> None:
+    told = hil("docs", page)
+    expected = f"hil: error: PAGE: found '{page}', expected a page that hil docs lists{remedy}\n"
     assert (told.exit_code, told.stderr) == (2, expected)
+
+
+def test_a_log_that_is_not_there_is_called_missing() -> None:
+    told = hil("trace", "no-such.log")
+    assert (told.exit_code, told.stderr.partition(", ")[0]) == (2, "hil: error: no-such.log: missing")
 
 
 # ---- trace --live -------------------------------------------------------------------------------------
