@@ -246,3 +246,14 @@ def test_the_time_of_a_frame_is_kept_to_the_nanosecond() -> None:
     log.handed(1, Instant(0))
     log.handed(2, Instant(1))
     assert (log.last_on_bus, log.crowded) == (2, 0), "half of three is one"
+
+
+@pytest.mark.parametrize(("next_at", "lacks"), [(2.3, False), (2.4, False), (3.0, True)])
+def test_a_stamp_between_two_syncs_is_of_a_third_only_if_that_is_missing(next_at: float, lacks: bool) -> None:
+    """Neighbours of another node lie further apart than a period where they jitter; none was between them."""
+    log = heard_at([0, PERIOD, round(next_at * PERIOD)])
+    for between in (1.0 + (next_at - 1.0) / 2 - 0.01, 1.0 + (next_at - 1.0) / 2 + 0.01):
+        at = Instant(round(between * PERIOD))
+        mark = log.nearest(at)
+        assert mark is not None
+        assert log.may_lack(mark, at) is lacks
