@@ -138,6 +138,8 @@ class DelayExtremes(Extremes):
         return self._longer == FEW
 
     def add(self, value: int) -> None:
+        if value < self.low and self._leaves(value):
+            self.distrust()
         if self._count == 0:
             self._least_before, self._least, self._reach = self._least, [], -1
         least = self._least
@@ -152,6 +154,10 @@ class DelayExtremes(Extremes):
         self._least, self._least_before = [], []
         super().begin(values)
 
+    def _leaves(self, delay: int) -> bool:
+        """Whether it is so much below the smallest that delays have become others."""
+        return delay < self.low - self.unseen(0)
+
     def unseen(self, transit: int) -> int:
         """How far below the smallest of these delays, of frames that take ``transit``, others may lie."""
         if self._reach < 0:
@@ -163,6 +169,8 @@ class DelayExtremes(Extremes):
         """How much of ``delay`` may have passed before the drive sampled, if its frame takes ``transit`` or
         more."""
         off = max(0, delay - self.low)
+        if self._leaves(delay):  # how far above the least one of now it lies is not known yet
+            return max(off, delay - transit)
         return min(off + self.unseen(transit), max(off, delay - transit))
 
 

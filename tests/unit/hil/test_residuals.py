@@ -148,3 +148,15 @@ def test_what_is_expected_holds_until_more_is_seen() -> None:
     made = Residuals(10_000.0)
     made.learn([0, 1, 2, 1], UNSEEN)
     assert made.cut(1_000_000, 0) == OUTLYING * 10_000
+
+
+def test_a_delay_far_below_all_others_tells_of_no_least_one() -> None:
+    """Delays that were longer for a time are what they were: the first of them bound their own samples."""
+    delays, transit = DelayExtremes(), 80_000
+    for number in range(200):
+        delays.add(358_000 + number * 37 % 376 * 1000)
+    assert delays.late(358_000, transit) < 40_000
+
+    assert delays.late(300_000, transit) == 300_000 - transit
+    delays.add(300_000)
+    assert delays.late(310_000, transit) >= 200_000
