@@ -23,7 +23,6 @@ from servobench.hil.loop.cycle_record import FATE_SAMPLE, NAMES
 from servobench.hil.recorded.recorded_run import RecordedRun, RunSignals
 from servobench.hil.reviewing.envelope import Largest, largest
 from servobench.hil.rows.records import DIGESTED, ROW_DTYPE, Rows
-from servobench.hil.rows.records_file import refuse_without_end
 from servobench.hil.rows.seal import doubt
 from servobench.hil.verdict.summary_text import number
 
@@ -148,14 +147,8 @@ class Against:
 
 
 def compare_runs(runs: Sequence[RecordedRun], tolerances: Tolerances | None = None) -> list[Against]:
-    """The first one beside itself, then each other.
-
-    Raises BadInput for runs that share no axis or period, and for records without their end, of which a part
-    would pass.
-    """
+    """The first one beside itself, then each other. Raises BadInput for runs that share no axis or period."""
     base = runs[0]
-    for run in runs:
-        refuse_without_end(run.folder)
     for run in runs[1:]:
         if not set(run.axes) & set(base.axes):
             raise BadInput(

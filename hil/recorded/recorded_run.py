@@ -28,7 +28,7 @@ from servobench.hil.reviewing.histogram import TimeHistogram
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.recording_plan import ReviewPlan
 from servobench.hil.rows.records import DIGESTED_TO_FORMAT_2, Rows
-from servobench.hil.rows.records_file import read_metadata, read_records
+from servobench.hil.rows.records_file import read_metadata, read_records, refuse_without_end
 from servobench.hil.rows.run_files import (
     BENCH_FILE,
     FIRST_CYCLE,
@@ -82,8 +82,9 @@ class RecordedRun:
         return f"{self.config.bench.name} ({self.folder})"
 
 
-def open_run(folder: Path, *, unsealed: bool = False) -> RecordedRun:
-    """The run in ``folder``; ``unsealed``: whether or not its files are as they were recorded.
+def open_run(folder: Path, *, unsealed: bool = False, whole: bool = False) -> RecordedRun:
+    """The run in ``folder``; ``unsealed``: whether or not its files are as they were recorded; ``whole``: its
+    records have to have their end.
 
     Raises BadInput for what is none, is not ended, is of another format, or does not fit its seal.
     """
@@ -95,6 +96,8 @@ def open_run(folder: Path, *, unsealed: bool = False) -> RecordedRun:
     if not (folder / SUMMARY_FILE).is_file():
         expected = f"a run with its {SUMMARY_FILE}"
         raise BadInput("RUN", "", str(folder), expected, "hil recover ends it")
+    if whole:
+        refuse_without_end(folder)
     seal = seal_of(folder, unsealed=unsealed)
     metadata = read_metadata(folder / RECORDS_FILE)
     written_in = metadata.get("format", "none")

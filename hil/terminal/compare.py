@@ -48,7 +48,8 @@ def compare(
     from servobench.hil.recorded.recorded_run import open_run
 
     asked = None if tolerances is None else load_tolerances(tolerances)
-    compared = compare_runs([open_run(folder, unsealed=unsealed) for folder in folders], asked)
+    # of half a recording each cycle would be the same
+    compared = compare_runs([open_run(folder, unsealed=unsealed, whole=True) for folder in folders], asked)
     lines = comparison_lines(compared)
     put(comparison_json(compared), as_json, lambda _figures: typer.echo("\n".join(lines)))
     if rrd is not None:

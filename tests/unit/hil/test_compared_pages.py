@@ -192,7 +192,7 @@ def test_a_page_is_made_of_frames_events_and_figures(tmp_path: Path) -> None:
     assert "  0.900000 s other" in text
     assert "  0.200000 s Switch on disabled" in text
     assert "  0.400000 s Ready to switch on" in text
-    states = [line for line in text.splitlines() if line.startswith("/state/2_drive") and "rows" in line]
+    states = [line for line in text.splitlines() if line.startswith("/state drive") and "rows" in line]
     assert [line.rsplit(": ")[1] for line in states] == ["2 rows"], "told again it is the same"
     assert "0.500 s  " in text
     assert "WARN" in text

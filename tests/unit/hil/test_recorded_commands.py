@@ -23,6 +23,7 @@ from servobench.hil.recorded import (
     viewer,
 )
 from servobench.hil.recording import page_keepers
+from servobench.hil.rows import records_file
 from servobench.hil.terminal import view as view_command
 from servobench.hil.verdict import summary_text
 
@@ -43,8 +44,8 @@ def refusal(result: Result) -> str:
 def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     asked: list[Any] = []
 
-    def page(*given: Any, unsealed: bool, tell_seal: Callable[[str], None]) -> bytes:
-        assert not unsealed
+    def page(*given: Any, size: tuple[int, int], unsealed: bool, tell_seal: Callable[[str], None]) -> bytes:
+        assert (size, unsealed) == ((1920, 1080), False)
         tell_seal("sealed")
         asked.append(given)
         return b"a page"
@@ -54,7 +55,9 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         return "the figure"
 
     monkeypatch.setattr(viewer, "draw_page", page)
-    monkeypatch.setattr(recorded_run, "open_run", lambda run, **_: SimpleNamespace(run=run, seal="sealed"))
+    opened = SimpleNamespace(run=Path("one"), seal="sealed", folder=Path("one"))
+    monkeypatch.setattr(recorded_run, "open_run", lambda _run, **_: opened)
+    monkeypatch.setattr(records_file, "is_whole", lambda _path: True)
     monkeypatch.setattr(recorded_run, "signals_of", lambda run, *window: (f"signals of {run.run}", *window))
     monkeypatch.setattr(paper, "paper_figure", figure)
     monkeypatch.setattr(paper, "save_figure", lambda figure, out: out.write_text(figure))
@@ -100,6 +103,12 @@ def test_a_figure_for_a_paper_is_of_the_same_stretch(
         ("none/p.png", (), "OUT: found 'FOLDER/none/p.png', expected a file in an existing folder"),
         ("p.svg", (), "OUT: found 'FOLDER/p.svg', expected a file that ends in .png, or --paper"),
         ("p.svg", ("--paper", "--page", "timing"), "--page: found 'timing', expected no --paper beside it"),
+        ("p.svg", ("--paper", "--size", "9x9"), "--size: found '9x9', expected no --paper beside it"),
+        (
+            "p.png",
+            ("--size", "640x480"),
+            "--size: found '640x480', expected WIDTHxHEIGHT in px, from 800x450 to 8192x8192",
+        ),
     ],
 )
 def test_a_picture_that_cannot_be_is_refused(
