@@ -21,6 +21,8 @@ AGREEING: Final = 8
 """Readings that must agree before it is settled: fewer could be chance under a jittering SYNC."""
 AGREEING_SPREAD: Final = 32
 """The same where delays spread over almost a period, so that only the smallest of many is telling."""
+AGREEING_ALONE: Final = 2 * AGREEING
+"""Readings of grown delays until one usual reading answers nothing: fewer happen by jitter of the SYNC."""
 SUSPECTS_MAX: Final = 48
 """After so many an unlikely answer is taken too. If there is none it is settled for the clock as it was,
 unless a reading would have come before its SYNC."""
@@ -183,8 +185,10 @@ class ClockQuestion:
 
     def excludes_steps(self, mark: SyncMark, delay: int, suspects: list[Suspect]) -> bool:
         """Whether a ``delay`` from the SYNC of ``mark`` would be unusual from those beside it, as a clock set
-        by whole periods would have it; not if those of many suspects are longer, too."""
+        by whole periods would have it; not if those of many suspects are longer, too. The stamp tells a SYNC
+        apart whose distance is no period."""
         gaps = [(other.on_bus_at or 0) - (mark.on_bus_at or 0) for other in self._syncs.beside(mark)]
+        gaps = [gap for gap in gaps if abs(abs(gap) - 2 * self._half) <= self._half // 4]
         before = min([2 * self._half, *(-gap for gap in gaps if gap < 0)])
         behind = min([2 * self._half, *(gap for gap in gaps if gap > 0)])
         low, high, slack = self.delays.low, self.delays.high, self.delays.slack()
@@ -192,9 +196,8 @@ class ClockQuestion:
             return False  # it came before its SYNC, which no network can do
         if not high - before + slack < delay < max(behind, low + behind - slack):
             return False
-        place = self._stamps.clock.place
-        delays = [suspect.received_at - place(suspect.device_ns) for suspect in suspects]
-        return len(delays) < AGREEING or min(delay, *delays) < low + self._half
+        delays = [each.received_at - self._stamps.clock.place(each.device_ns) for each in suspects]
+        return len(delays) < AGREEING_ALONE or min(delay, *delays) < low + self._half
 
     def free_marks(self, latest: Instant) -> list[SyncMark]:
         """SYNCs of cycles that had ended by ``latest`` and have no stamp."""

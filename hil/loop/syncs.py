@@ -161,8 +161,6 @@ class SyncLog:
         It ended between the time of its frame after the hand-over and the quickest echo, so in the middle.
         """
         least, most = self._latency, max(self._latency, self._ways.low)
-        late_ns = self._ways.high + self._ways.slack() - least
-        self._late_most = max(0, late_ns - ECHO_ERROR[EchoBasis.NONE])
         self.basis = EchoBasis.NONE
         self.error_ns = ECHO_ERROR[EchoBasis.NONE] + (most - least) // 2
         self._latency = Duration((least + most) // 2)
@@ -378,8 +376,9 @@ class SyncLog:
 
     def _put_on_bus(self, mark: SyncMark, at: Instant) -> None:
         if self.basis is not self.echoes:
-            # It waited in front of the bus if its echo is later than echoes are by themselves.
-            at = max(Instant(mark.handed_at + self._latency), Instant(at - self._late_most))
+            if at - mark.handed_at > self._ways.high + self._ways.slack():
+                mark.sure = False  # it may have waited in front of the bus
+            at = Instant(mark.handed_at + self._latency)
         elif self._echoes_late:
             way = at - mark.handed_at
             self._ways.add(way)

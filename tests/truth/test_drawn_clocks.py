@@ -63,10 +63,3 @@ def test_a_stamped_change_may_be_of_a_command_that_has_left(seed: int, cycles: i
 def test_a_sync_that_jitters_is_no_tick() -> None:
     """Up to 315 us late at the drive: taken for a tick of as much, it left a third of the rows in doubt."""
     assert verdict_of(450085, 120).readings.uncertain <= 5
-
-
-@pytest.mark.parametrize(("seed", "cycles"), [(402439, 60), (402258, 60), (450578, 60)])
-def test_an_echo_that_is_later_than_echoes_are_tells_what_its_sync_waited(seed: int, cycles: int) -> None:
-    """SYNCs rest on their hand-over, and wait in front of the bus for up to 300 us: each was told at the
-    instant of an idle bus, seven off by more than its echo, and two thirds of the rows were in doubt."""
-    assert verdict_of(seed, cycles).readings.uncertain <= 8
