@@ -28,7 +28,7 @@ from tests.mutants.evidence import Evidence, made_evidence
 from tests.mutants.mutant import PROCESSOR_S_MAX, processor_s
 
 MEMORY_MAX_KB: Final = 500_000
-"""That one mutant may cost; of a command all that its process has."""
+"""That one mutant may cost; of a command what its process has beyond the tests', of which it is a fork."""
 COMMAND_EACH: Final = 50
 """Mutants for one that goes through a command too, which takes so many times as long."""
 STATUSES: Final = (0, 1, 2, 3, 4, 5, 6)
@@ -154,12 +154,13 @@ class Ended(NamedTuple):
 
 def in_a_process(command: Sequence[str], said: Path) -> Ended:
     """A command line in a process that has nothing to import; ``said``: a file for what it prints."""
+    ours_kb = int(Path("/proc/self/statm").read_text().split()[1]) * (os.sysconf("SC_PAGE_SIZE") // 1024)
     if not (process := os.fork()):
         _become(command, said)
     _, status, usage = os.wait4(process, 0)
     text = said.read_text(errors="replace")
     took_s = usage.ru_utime + usage.ru_stime
-    return Ended(os.waitstatus_to_exitcode(status), text, took_s, usage.ru_maxrss)
+    return Ended(os.waitstatus_to_exitcode(status), text, took_s, usage.ru_maxrss - ours_kb)
 
 
 def _become(command: Sequence[str], said: Path) -> None:

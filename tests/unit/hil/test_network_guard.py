@@ -68,9 +68,18 @@ def record(sequence: int, delay_us: int | None) -> CycleRecord:
     effective = Instant(sampled + delay)
     return cycle_record(
         sequence=sequence,
+        axis=0,
+        due_at=Instant(sampled),
+        woke_at=None,
+        sync_handed_at=None,
         sync_on_bus_at=Instant(sampled),
         observation=observation,
         delay=Duration(delay),
+        estimate=None,
+        reference_rad_s=0.0,
+        load_torque_nm=0.0,
+        clock_offset_ns=None,
+        clock_error_ns=None,
         command=Command(sequence, 0.0, effective, Instant(effective + PERIOD)),
         sending=Sending(0, Instant(effective - 100_000), effective, CommandFate.NOT_MEASURED, None, None),
     )
