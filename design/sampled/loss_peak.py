@@ -15,7 +15,7 @@ from servobench.design.sampled.jump_loop import Remembering
 from servobench.design.sampled.peak_steps import PeakBound
 from servobench.design.sampled.peak_tree import Leaves, bounded_peak, joined
 from servobench.design.sampled.random_losses import Outcome
-from servobench.design.sampled.stepped_load import PeriodMaps, SteppedLoad
+from servobench.design.sampled.stepped_load import NormedWalks, PeriodMaps, SteppedLoad
 
 _CLOSENESS, _LEAVES_MAX = 3e-3, 300_000
 
@@ -60,18 +60,12 @@ def walked(controller: Remembering, readings_max: int, commands_max: int) -> Ite
             yield Move(numbers[memory, readings, commands], numbers[later], memory, outcome)
 
 
-class _Walks:
+class _Walks(NormedWalks):
     """The periods of a graph, for the search."""
 
     def __init__(self, edges: list[tuple[Move, PeriodMaps]], norms: Norms, step: SteppedLoad) -> None:
-        self._edges, self._norms, self._step = edges, norms, step
-
-    def bounds(self, leaves: Leaves) -> np.ndarray:
-        sizes = self._norms.sizes(leaves.node, leaves.d) + leaves.radius
-        return np.asarray(self._step.error_at_rest + sizes)
-
-    def refine(self, leaves: Leaves) -> None:
-        self._norms.refine(leaves.node, leaves.d)
+        super().__init__(norms, step)
+        self._edges = edges
 
     def stepped(self, leaves: Leaves) -> tuple[Leaves, float, float]:
         came, reached, bound = [], 0.0, 0.0

@@ -11,7 +11,7 @@ import numpy as np
 
 from servobench.design.delay.delay_loop import Array
 from servobench.design.errors import NoSolution
-from servobench.design.sampled.falling_norms import FallingNorms
+from servobench.design.sampled.falling_norms import FallingNorms, Norms
 from servobench.design.sampled.held_loop import HeldInput, Operation
 from servobench.design.sampled.loaded_periods import LoadedPeriods
 from servobench.design.sampled.peak_steps import error_curvature, start_curvature
@@ -92,3 +92,19 @@ class SteppedLoad:
         n = len(self._of_state)
         between = np.abs(d[:, :n]) @ self._of_state + self._of_input * np.abs(held).max(axis=1)
         return np.abs(seen + self.rest_looks).max(axis=1), between
+
+
+class NormedWalks:
+    """Walks of the departure ``d`` from rest, in ``norms`` that no period enlarges."""
+
+    def __init__(self, norms: Norms, step: SteppedLoad) -> None:
+        self._norms, self._step = norms, step
+
+    def bounds(self, leaves: Leaves) -> Array:
+        """Return (N,): what no error behind each leaf exceeds."""
+        sizes = self._norms.sizes(leaves.node, leaves.d) + leaves.radius
+        return np.asarray(self._step.error_at_rest + sizes)
+
+    def refine(self, leaves: Leaves) -> None:
+        """Sharpen the bounds for some leaves."""
+        self._norms.refine(leaves.node, leaves.d)

@@ -18,7 +18,7 @@ from servobench.design.sampled.falling_norms import NormedEdge, Norms
 from servobench.design.sampled.peak_steps import PeakBound
 from servobench.design.sampled.peak_tree import Leaves, bounded_peak, joined
 from servobench.design.sampled.random_losses import Outcome
-from servobench.design.sampled.stepped_load import SteppedLoad
+from servobench.design.sampled.stepped_load import NormedWalks, SteppedLoad
 from servobench.design.speed.predictor_gains import CovarianceRange, GainBoxes
 from servobench.design.speed.predictor_loop import PredictorLoop
 from servobench.design.speed.predictor_plant import KalmanModel, of_state
@@ -101,7 +101,7 @@ def _moves(readings_max: int, commands_max: int) -> Iterator[_Move]:
                 yield _Move(readings * width + commands, runs[0] * width + runs[1], readings, outcome)
 
 
-class _Walks:
+class _Walks(NormedWalks):
     """The periods, for the search."""
 
     def __init__(
@@ -113,15 +113,8 @@ class _Walks:
         norms: Norms,
         step: SteppedLoad,
     ) -> None:
-        self._read, self._moves, self._periods = read, moves, periods
-        self._boxes, self._norms, self._step = boxes, norms, step
-
-    def bounds(self, leaves: Leaves) -> Array:
-        sizes = self._norms.sizes(leaves.node, leaves.d) + leaves.radius
-        return np.asarray(self._step.error_at_rest + sizes)
-
-    def refine(self, leaves: Leaves) -> None:
-        self._norms.refine(leaves.node, leaves.d)
+        super().__init__(norms, step)
+        self._read, self._moves, self._periods, self._boxes = read, moves, periods, boxes
 
     def stepped(self, leaves: Leaves) -> tuple[Leaves, float, float]:
         came, reached, bound = [], 0.0, 0.0
