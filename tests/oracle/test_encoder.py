@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from servobench import run
 from servobench.drivers.errors import BadInput, LimitExceeded
-from servobench.drivers.timebase import NS_PER_S, Instant
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
 from servobench.hil.configuration.bench_file import Bench
 from servobench.hil.execution.network_guard import Certificates
 from servobench.hil.verdict.verdict import LimitResult
 from servobench.virtual_bus.drive.encoder import Encoder, SineErrors, SpeedMethod, SpeedSensing
-from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters
+from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
 from tests.motors import LING
 from tests.scenario.processes import EXAMPLES
 
@@ -131,21 +131,21 @@ def test_the_time_between_edges_gives_the_speed(seed: int, timer_hz: float | Non
         FirmwareParameters(encoder_counts_per_revolution=counts, speed=sensing), speed, acceleration
     )
     found, speeds = shaft.told(3200)
-    times_s = np.arange(1, 3201) / RATE_HZ
-    compared = 0
+    compared, as_timed = 0, 0
     last = 0.0  # the first edge gives no speed yet
     for k in range(1, 3200):
         if found[k] == found[k - 1]:
             continue
         if last > 0.0:
             begin_s, end_s = edge_times(shaft, counts, np.array([last, found[k]]))
+            if timer_hz is not None:
+                begin_s, end_s = (math.floor(at_s * timer_hz) / timer_hz for at_s in (begin_s, end_s))
             expected = (found[k] - last) * math.tau / counts / (end_s - begin_s)
-            step_s = 0.0 if timer_hz is None else 1.0 / timer_hz
-            slack = 1e-7 + step_s / (end_s - begin_s - step_s)
-            assert speeds[k] == pytest.approx(expected, rel=slack), times_s[k]
+            as_timed += speeds[k] == pytest.approx(expected, rel=1e-7)
             compared += 1
         last = found[k]
     assert compared > 2
+    assert as_timed > 0.99 * compared, "an edge within a rounding of the timer's step may fall to either side"
 
 
 def test_between_edges_a_speed_falls_with_the_time_that_has_passed() -> None:
@@ -181,6 +181,35 @@ def test_an_observer_follows_as_two_equal_poles_do(bandwidth_rad_s: float) -> No
     expected = 100.0 * (1.0 - (1.0 + passed) * np.exp(-passed))
     assert np.abs(speeds - expected).max() < 100.0 * bandwidth_rad_s / RATE_HZ
     assert speeds[-1] == pytest.approx(100.0, rel=1e-3) or bandwidth_rad_s == 50.0
+
+
+def test_an_observer_comes_to_rest_with_the_shaft() -> None:
+    sensing = SpeedSensing(SpeedMethod.OBSERVER, None)
+    shaft = FreeShaft(FirmwareParameters(encoder_counts_per_revolution=4096, speed=sensing), 100.0)
+    shaft.told(400)
+    shaft.firmware.inner.speed_rad_s = 0.0
+    _, speeds = shaft.told(1600)
+    assert np.all(np.abs(speeds[-100:]) < 1e-9), "without a count there is no speed"
+
+
+def test_currents_turn_by_the_angle_that_the_encoder_tells() -> None:
+    """The loops hold i_d = 0 in the frame of a disc out of centre; in the rotor's the current is turned."""
+    encoder = Encoder(eccentricity_rad=0.05)
+    firmware = Firmware(
+        replace(FREE, inertia_kg_m2=1e6),
+        FirmwareParameters(encoder_counts_per_revolution=1 << 24, encoder=encoder),
+    )
+    firmware.start(Instant(0))
+    firmware.inner.speed_rad_s = 2.0
+    firmware.control(InnerControl.TORQUE)
+    firmware.demand_torque(1.0)
+    asked_a = 1.0 / FREE.torque_constant_nm_a
+    for milliseconds in range(200, 3200, 150):
+        firmware.advance_to(Instant(milliseconds * NS_PER_MS))
+        inner = firmware.inner
+        turned = FREE.pole_pairs * encoder.eccentricity_rad * math.sin(inner.angle_rad)
+        assert inner.current_d_a == pytest.approx(-asked_a * math.sin(turned), abs=0.01 * asked_a)
+        assert inner.current_q_a == pytest.approx(asked_a * math.cos(turned), abs=0.01 * asked_a)
 
 
 @pytest.mark.parametrize("method", list(SpeedMethod))

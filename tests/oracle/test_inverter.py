@@ -132,6 +132,20 @@ def test_dead_time_takes_a_square_wave_from_each_phase() -> None:
     assert abs(np.argmax(spectrum) + 5 - 6 * turns) <= 1
 
 
+def test_within_the_ripple_dead_time_is_a_resistance() -> None:
+    """Each phase loses in proportion to its current: the link's share over the band, ohm."""
+    dead_s, band_a, speed_rad_s = 2e-6, 100.0, 20.0
+    plain = turning(LING, FirmwareParameters(), speed_rad_s)
+    struck = turning(LING, FirmwareParameters(inverter=Inverter(dead_s, band_a)), speed_rad_s)
+    for firmware in (plain, struck):
+        firmware.demand_torque(1.0)
+        stepped(firmware, 3000, "voltage_q_v")
+    (ideal_v,) = stepped(plain, 1, "next_voltage_q_v")
+    voltage_v, current_a = stepped(struck, 1, "next_voltage_q_v", "current_q_a")
+    ohm = LING.dc_bus_voltage_v * dead_s * RATE_HZ / band_a
+    assert voltage_v[0] - ideal_v[0] == pytest.approx(ohm * current_a[0], rel=0.01)
+
+
 @pytest.mark.parametrize("share", [0.5, 0.9])
 def test_the_largest_voltage_is_the_share_that_the_drive_uses(share: float) -> None:
     firmware = turning(LING, FirmwareParameters(inverter=Inverter(output_share=share)), 0.0)

@@ -127,8 +127,6 @@ static double speed_by_observer(EncoderState *state, const Encoder *p, const Res
     double error = -floor(ahead);
     state->observer_ahead = ahead + period_s * p->observer_position_gain * error;
     state->observer_speed += period_s * p->observer_speed_gain * error;
-    if (fabs(state->observer_speed) < 0.5 * period_s * p->observer_speed_gain)
-        state->observer_speed = 0.0;
     return state->observer_speed * resolution->rad_per_count;
 }
 

@@ -89,33 +89,26 @@ static void drive_motor(InnerLoops *self, double load_nm)
     advance_link(&self->link, &self->dc_link, watts);
 }
 
-/* What the encoder turns with: the rotor, or the load behind the coupling. */
-static Place encoder_place(const InnerLoops *self)
-{
-    const MotorState *shaft = &self->shaft;
-    if (!self->mechanism.encoder_on_load)
-        return (Place){shaft->turns, shaft->angle_rad};
-    double angle = shaft->angle_rad - self->load_side.twist_rad;
-    double turns = floor(angle * PER_TURN);
-    return (Place){shaft->turns + turns, angle - turns * TURN_RAD};
-}
-
-/* The count and, of it, the speed before the filter, rad/s. */
+/* Of the encoder at the load, or of one with errors: its count and, of it, the speed before the filter, rad/s. */
 static double count_encoder(InnerLoops *self)
 {
     const Resolution *resolution = &self->resolution;
+    const MotorState *shaft = &self->shaft;
     LoopState *state = &self->state;
-    double before = state->count, period_s = self->motor.period_s;
-    Place place = encoder_place(self);
-    if (self->encoder.active) {
-        double speed = self->mechanism.encoder_on_load ? self->load_side.speed_rad_s : self->shaft.speed_rad_s;
-        place = encoder_sees(&self->sensed, &self->encoder, place, speed, period_s);
+    Place place = {shaft->turns, shaft->angle_rad};
+    double before = state->count, turning_rad_s = shaft->speed_rad_s;
+    if (self->mechanism.encoder_on_load) {
+        double angle = shaft->angle_rad - self->load_side.twist_rad, turns = floor(angle * PER_TURN);
+        place = (Place){shaft->turns + turns, angle - turns * TURN_RAD};
+        turning_rad_s = self->load_side.speed_rad_s;
     }
+    if (self->encoder.active)
+        place = encoder_sees(&self->sensed, &self->encoder, place, turning_rad_s, self->motor.period_s);
     if (!self->loop.encoder_held)
         state->count = place.turns * resolution->counts + floor(place.angle_rad * resolution->counts_per_rad);
     if (self->encoder.active)
         return encoder_speed(&self->sensed, &self->encoder, resolution, state->count, before, place,
-                             (double)(self->ticks + 1), period_s);
+                             (double)(self->ticks + 1), self->motor.period_s);
     return (state->count - before) * resolution->rad_per_count * self->motor.rate_hz;
 }
 
@@ -128,10 +121,16 @@ static double sample(InnerLoops *self)
     const Resolution *resolution = &self->resolution;
     const MotorState *shaft = &self->shaft;
     LoopState *state = &self->state;
-    double raw_speed = count_encoder(self);
-    double within_turn = floor(shaft->angle_rad * resolution->counts_per_rad);
-    if (p->encoder_held || (self->encoder.active && !self->mechanism.encoder_on_load))
-        within_turn = state->count - resolution->counts * floor(state->count / resolution->counts);
+    double within_turn = floor(shaft->angle_rad * resolution->counts_per_rad), raw_speed;
+    if (self->encoder.active || self->mechanism.encoder_on_load || p->encoder_held) {
+        raw_speed = count_encoder(self);
+        if (p->encoder_held || !self->mechanism.encoder_on_load)
+            within_turn = state->count - resolution->counts * floor(state->count / resolution->counts);
+    } else {
+        double count = shaft->turns * resolution->counts + within_turn;
+        raw_speed = (count - state->count) * resolution->rad_per_count * self->motor.rate_hz;
+        state->count = count;
+    }
     state->speed_measured_rad_s += p->speed_filter * (raw_speed - state->speed_measured_rad_s);
     double angle = (within_turn + 0.5) * resolution->rad_per_count * self->motor.pole_pairs;
     Pair current = {shaft->current_d_a, shaft->current_q_a};
