@@ -204,6 +204,15 @@ def test_commands_that_contradict_each_other_are_named(sound: Case) -> None:
     ]
     failed = replace(sound, run=Ended((), 3, {}, "hil: error: axis1 has no such mode"))
     assert wrong(failed) == ["commissioned, hil run leaves with 3: hil: error: axis1 has no such mode"]
+    lossy = {
+        "dropouts": {"lost": 1, "late": 78},
+        "verdict": {"reason": "dropouts_percent_max = 10, found 10.53"},
+    }
+    failed = replace(sound, run=Ended((), 1, lossy, ""))
+    assert wrong(failed) == [
+        "commissioned, hil run leaves with 1: dropouts_percent_max = 10, found 10.53; "
+        "readings: 1 lost, 78 late"
+    ]
 
 
 def test_a_refusal_that_hil_eds_foresees_is_no_contradiction(sound: Case) -> None:
@@ -254,6 +263,10 @@ def cycles(periods_ms: Sequence[float], answer_ms: float = 1.0) -> list[Frame]:
     return sorted(heard)
 
 
+def after(seconds: float, frames: Sequence[Frame]) -> list[Frame]:
+    return [frame._replace(at_s=frame.at_s + seconds) for frame in frames]
+
+
 @pytest.mark.parametrize(
     ("frames", "said"),
     [
@@ -263,6 +276,8 @@ def cycles(periods_ms: Sequence[float], answer_ms: float = 1.0) -> list[Frame]:
         (cycles([4.0] * 500 + [104.0] + [4.0] * 500), "nothing for 104 ms between two SYNCs"),
         (cycles([4.0] * 1000 + [8.0, 4.0] * 3), "3 of 1005 cycles"),
         (cycles([4.0] * 500) + [Frame(2.0 + n / 500, 0x080, b"") for n in range(3)], "2 of 502 cycles"),
+        (cycles([4.0] * 1000, answer_ms=1.9), ""),
+        ([*cycles([4.0] * 900), *after(3.6, cycles([4.0] * 100, answer_ms=2.2))], "99 of 999 cycles"),
         (
             [Frame(0.0, 0x601, bytes(8)), Frame(0.1, 0x601, bytes(8)), Frame(0.3, 0x581, bytes(8))],
             "took 300 ms",
@@ -274,6 +289,13 @@ def test_lateness_is_seen_in_the_frames(frames: list[Frame], said: str) -> None:
     told = lateness(frames, 1)
     assert said in told
     assert bool(said) is bool(told)
+
+
+def test_a_run_that_stops_for_some_periods_was_kept_from_its_work() -> None:
+    """A commissioning stops for five periods between two exercises without a word; a run has no reason to."""
+    frames = cycles([4.0] * 500 + [20.0, 4.0] * 5 + [4.0] * 100)
+    assert lateness(frames, 1) == ""
+    assert lateness(frames, 1, pauses=False) == "5 of 609 cycles were late on the bus"
 
 
 def test_settings_that_were_not_put_back_are_named(sound: Case) -> None:

@@ -229,7 +229,8 @@ class _Observed:
         case.accesses.setdefault(name, []).extend(listener.accesses(frames))
         case.unexplained |= listener.unexplained
         self._look(name, before)
-        return replace(_end_of(options, child.returncode, stem), late=lateness(frames, NODE))
+        late = lateness(frames, NODE, pauses=name != "run")
+        return replace(_end_of(options, child.returncode, stem), late=late)
 
     def _look(self, name: str, before: dict[Key, bytes]) -> None:
         case, after = self._case, self._witness.readings(self._case.variables)

@@ -128,7 +128,9 @@ def _contradictions(case: Case) -> Iterator[Complaint]:
         return
     runs = run.status == 0 or went_on(run.figures)
     if commissioned and mode_to_run(eds) and not runs:
-        yield run, f"commissioned, hil run leaves with {run.status}: {run.reason}"
+        dropouts = ", ".join(f"{count} {cause}" for cause, count in run.figures.get("dropouts", {}).items())
+        told = f"; readings: {dropouts}" if dropouts else ""
+        yield run, f"commissioned, hil run leaves with {run.status}: {run.reason}{told}"
     if runs and not mode_to_run(eds):
         yield eds, "hil eds gives no mode for hil run, and it ran"
     if not serves and runs:
