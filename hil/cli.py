@@ -50,6 +50,7 @@ from servobench.hil.terminal.measure import measure
 from servobench.hil.terminal.motor import motor
 from servobench.hil.terminal.output import say
 from servobench.hil.terminal.picture import picture
+from servobench.hil.terminal.presets import presets
 from servobench.hil.terminal.recover import recover
 from servobench.hil.terminal.reproduce import azaiz2007, ling2012
 from servobench.hil.terminal.review import review
@@ -274,7 +275,7 @@ def doctor(as_json: JsonOption = False) -> None:
         print_checks(checks)
 
 
-add_commands(app, init, simulate, doctor, docs, panel="Run")
+add_commands(app, init, simulate, presets, doctor, docs, panel="Run")
 add_commands(app, scan, trace, fault, stop, eds, adapter, panel="Inspect")
 add_commands(app, commission, measure, restore, rehearse, panel="Commission")
 add_commands(app, view, why, review, runs, compare, picture, export, recover, panel="Review")

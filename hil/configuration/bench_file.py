@@ -34,6 +34,7 @@ from servobench.hil.configuration.controller_kinds import (
 from servobench.hil.configuration.drive_file import load_drive_file
 from servobench.hil.configuration.drive_model import load_drive_model
 from servobench.hil.configuration.motor_file import load_motor
+from servobench.hil.configuration.preset_files import could_name_a_preset
 from servobench.hil.configuration.references import load_signal
 from servobench.virtual_bus.faults.fault_plan import FaultPlan, load_fault_plan, read_fault_plan
 from servobench.virtual_bus.faults.replay import read_recorded
@@ -362,7 +363,9 @@ class Bench:
             place = place[entry]
 
     def _opened(self, path: list[str], name: str) -> Any:
-        """Replace a drive's file by its tables and return them."""
+        """Replace a drive's file, or its preset, by its tables and return them."""
+        if path[0] == "drive" and path[-1] in ("motor", "like") and could_name_a_preset(name):
+            return {"preset": name}
         if len(path) != 3 or path[0] != "drive" or path[2] not in _DRIVE_FILES:
             return name
         key = ".".join(path)

@@ -4,7 +4,7 @@ that it sends with the SYNCs, for the recording alone.
 
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Final, Literal, NamedTuple
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator
@@ -168,12 +168,25 @@ def _lack(text: str) -> str:
 Lack = Annotated[str, AfterValidator(_lack)]
 
 
+def _of_like(data: Mapping[str, Any], name: str, default: int) -> int:
+    like = data["like"]
+    return default if like is None else like.rates.get(name, default)
+
+
 class Simulation(Section):
     """``simulation``: the drive that the bench makes itself on the bus ``simulated``."""
 
-    encoder_counts_per_revolution: int = Field(default=65536, ge=16, le=2**30)
-    inner_rate_hz: int = Field(default=16000, ge=4000, le=64000)
-    """Rate of the current loops."""
+    like: DriveModel | None = None
+    """Its supply, protection, inverter, current sensors, encoder and rate, as the name of a preset, the path
+    of a file, or its tables; default: a DC link without end, no protection, no errors."""
+    encoder_counts_per_revolution: int = Field(
+        default_factory=lambda data: _of_like(data, "encoder_counts_per_revolution", 65536), ge=16, le=2**30
+    )
+    """Default: that of ``like``, or 65536."""
+    inner_rate_hz: int = Field(
+        default_factory=lambda data: _of_like(data, "inner_rate_hz", 16000), ge=4000, le=64000
+    )
+    """Rate of the current loops; default: that of ``like``, or 16000."""
     clock_drift_ppm: float = Field(default=0.0, ge=-1000, le=1000)
     """Drift of the drive's clock: how much faster than the host's it runs."""
     stamp_unit_us: float = Field(default=1.0, ge=0.01, le=1000)
@@ -206,9 +219,6 @@ class Simulation(Section):
     servobench's own drive."""
     motor: MotorFile | None = None
     """The motor on its shaft, as a motor file or its tables; default: ``drive.NAME.motor``."""
-    like: DriveModel | None = None
-    """Its supply, protection, inverter, current sensors and encoder, as the path of a file or its tables;
-    default: a DC link without end, no protection, no errors."""
     rehearse: int | None = Field(default=None, ge=0)
     """Seed of `hil rehearse`, whose drive with its motor and encoder is simulated instead."""
 

@@ -1,17 +1,18 @@
 """Files of simulated drives: their source, ``[supply]``, limits of their power stage, ``[protection]``,
-their ``[inverter]``, ``[current_sensor]`` and ``[encoder]``.
+their ``[inverter]``, ``[current_sensor]``, ``[encoder]`` and ``[current_loop]``.
 
-``like`` of ``[drive.NAME.simulation]`` names one, or has its tables.
+``like`` of ``[drive.NAME.simulation]`` names one or a preset, or has its tables.
 """
 
 import math
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from servobench.drivers.bounded_file import NamedBy
-from servobench.hil.configuration.config_files import Section, load_file
+from servobench.hil.configuration.config_files import Section
+from servobench.hil.configuration.preset_files import FromPreset, load_file_or_preset
 from servobench.hil.configuration.quantities import Current, Resistance, Voltage
 from servobench.virtual_bus.drive.encoder import Encoder, SineErrors, SpeedMethod, SpeedSensing
 from servobench.virtual_bus.drive.power_stage import (
@@ -176,8 +177,10 @@ class EncoderSpeedTable(Section):
 
 
 class EncoderTable(Section):
-    """``[encoder]``: errors of the encoder; its counts are ``encoder_counts_per_revolution`` of the bench."""
+    """``[encoder]``: the encoder of the motor, and its errors."""
 
+    counts_per_revolution: int | None = Field(default=None, ge=16, le=2**30)
+    """What the bench does not say by ``encoder_counts_per_revolution``."""
     lines: int = Field(default=1024, ge=1, le=1 << 20, description="signal periods of a turn")
     sine_offset_percent: OffsetPercent = 0.0
     """Share of the cosine's amplitude, as are the next two; 1 % makes up to 0.57 degrees of a line."""
@@ -263,14 +266,35 @@ class InverterTable(Section):
         return Inverter(left * self.dead_time_us * 1e-6, self.zero_band_a, self.output_percent / 100.0)
 
 
-class DriveModel(Section):
+class CurrentLoopTable(Section):
+    """``[current_loop]``: the period of current loops and inverter."""
+
+    rate_hz: int = Field(ge=4000, le=64000, description="rate of the current loops, Hz")
+    """What the bench does not say by ``inner_rate_hz``."""
+
+
+class DriveModel(FromPreset):
     """A whole file of a simulated drive."""
+
+    KIND: ClassVar[str] = "drives"
 
     supply: SupplyTable | None = Field(default=None, description="the table [supply]")
     protection: ProtectionTable | None = Field(default=None, description="the table [protection]")
     encoder: EncoderTable | None = Field(default=None, description="the table [encoder]")
     inverter: InverterTable | None = Field(default=None, description="the table [inverter]")
     current_sensor: CurrentSensorTable | None = Field(default=None, description="the table [current_sensor]")
+    current_loop: CurrentLoopTable | None = Field(default=None, description="the table [current_loop]")
+
+    @property
+    def rates(self) -> dict[str, int]:
+        """Fields of the same that the bench has keys for, as far as they are said here."""
+        found = {
+            "inner_rate_hz": None if self.current_loop is None else self.current_loop.rate_hz,
+            "encoder_counts_per_revolution": None
+            if self.encoder is None
+            else self.encoder.counts_per_revolution,
+        }
+        return {name: value for name, value in found.items() if value is not None}
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -288,5 +312,5 @@ class DriveModel(Section):
 
 
 def load_drive_model(path: Path, named_by: NamedBy | None = None) -> DriveModel:
-    """Load the file of a simulated drive at ``path``. Raises BadInput or BadInputs."""
-    return load_file(DriveModel, path, "file of a simulated drive", named_by)
+    """Load the file of a simulated drive at ``path``, or a preset. Raises BadInput or BadInputs."""
+    return load_file_or_preset(DriveModel, path, "file of a simulated drive", named_by)

@@ -5,7 +5,7 @@
 
 import math
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
@@ -14,7 +14,8 @@ from servobench.design.motor import PmsmParameters, Transform
 from servobench.drivers.bounded_file import NamedBy
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.vendors.motor_objects import POLE_PAIRS_MAX
-from servobench.hil.configuration.config_files import Section, load_file
+from servobench.hil.configuration.config_files import Section
+from servobench.hil.configuration.preset_files import FromPreset, load_file_or_preset
 from servobench.hil.configuration.quantities import (
     CoulombFriction,
     Current,
@@ -172,8 +173,10 @@ class Rating(Section):
     dc_bus_voltage_v: Voltage = Field(description="voltage of the inverter's DC bus, V")
 
 
-class MotorFile(Section):
+class MotorFile(FromPreset):
     """A whole motor file."""
+
+    KIND: ClassVar[str] = "motors"
 
     motor: Windings = Field(description="the table [motor]")
     mechanics: MotorMechanics = Field(description="the table [mechanics]")
@@ -209,7 +212,7 @@ class MotorFile(Section):
     @property
     def tables(self) -> dict[str, Any]:
         """What is to be written into a file."""
-        return self.model_dump(mode="json", exclude_none=True)
+        return self.model_dump(mode="json", exclude_none=True, exclude={"preset"})
 
     @property
     def parameters(self) -> PmsmParameters:
@@ -243,8 +246,11 @@ LING2012 = MotorFile(
 
 
 def load_motor(path: Path, named_by: NamedBy | None = None) -> MotorFile:
-    """Load the motor file at ``path``; ``named_by``: its source. Raises BadInput or BadInputs."""
-    return load_file(MotorFile, path, "motor file", named_by)
+    """Load the motor file at ``path``, or a preset; ``named_by``: its source.
+
+    Raises BadInput or BadInputs.
+    """
+    return load_file_or_preset(MotorFile, path, "motor file", named_by)
 
 
 def speed_max_rpm(motor: PmsmParameters) -> float:

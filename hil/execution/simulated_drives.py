@@ -116,11 +116,12 @@ def _at_rate(controller: CurrentController | None, rate_hz: int) -> StateSpace |
         ) from None
 
 
-def drive_parameters(current_control: Sequence[Path]) -> DriveParameters:
+def drive_parameters(current_control: Sequence[Path], like: DriveModel | None = None) -> DriveParameters:
     """Return the parameters of the drives of ``hil simulate``, with the current controllers in these files.
     Raises BadInput."""
     controllers: dict[str, StateSpace | None] = {"q": None, "d": None}
-    rate_hz = DriveParameters().inner_rate_hz
+    modelled = {} if like is None else like.parameters | like.rates
+    rate_hz = DriveParameters(**modelled).inner_rate_hz
     for path in current_control:
         controller = read_current_controller(path, NamedBy("--current-control", "", str(path)))
         if controllers[controller.axis] is not None:
@@ -128,7 +129,7 @@ def drive_parameters(current_control: Sequence[Path]) -> DriveParameters:
                 "--current-control", "", str(path), f"one controller for the {controller.axis} axis at most"
             )
         controllers[controller.axis] = _at_rate(controller, rate_hz)
-    return DriveParameters(controller_q=controllers["q"], controller_d=controllers["d"])
+    return DriveParameters(controller_q=controllers["q"], controller_d=controllers["d"], **modelled)
 
 
 def simulate(
@@ -159,9 +160,7 @@ def simulate(
     spec = shared_bus(bus_spec, "use hub:NAME, or run the bench itself with --bus simulated")
     store = files.memory(nodes)
     makers = files.makers(files.vendor(announce, nodes, bitrate_bit_s, motor), serial_of_each(nodes, serials))
-    drive = files.drive(drive_parameters(current_control))
-    if like is not None:
-        drive = replace(drive, **like.parameters)
+    drive = files.drive(drive_parameters(current_control, like))
     devices = [
         SimulatedServo(node, motor, replace(drive, load=loads.get(node)), seed, store=store, vendor=vendor)
         for node, vendor in zip(nodes, makers, strict=True)

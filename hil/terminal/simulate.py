@@ -48,7 +48,12 @@ class SimulateOptions:
     motor: DriveMotorOption = None
     like: Annotated[
         Path | None,
-        valued("--like", "FILE", "Supply, sensors and the like: drive.NAME.simulation.like of a bench."),
+        valued(
+            "--like",
+            "NAME",
+            "A preset of hil presets, or a file: supply, sensors and the like, "
+            "drive.NAME.simulation.like of a bench.",
+        ),
     ] = None
     faults: DriveFaultsOption = None
     eds: Annotated[

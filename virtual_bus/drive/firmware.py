@@ -40,6 +40,7 @@ from servobench.virtual_bus.drive.power_stage import (
     Protection,
     Supply,
     fill_power_stage,
+    peak_current_a,
 )
 
 _STEP_ANGLE_MAX = 0.25
@@ -249,10 +250,10 @@ class Firmware:
         self._demand_torque(torque_nm)
 
     def limit(self, torque_nm: float, current_a: float, speed_rad_s: float) -> None:
-        """The limits of whatever is demanded."""
+        """The limits of whatever is demanded; the current's is the peak of the drive's overload at most."""
         inner = self.inner
         inner.torque_max_nm = torque_nm
-        inner.current_max_a = current_a
+        inner.current_max_a = min(current_a, peak_current_a(self.motor, self.parameters.protection))
         inner.speed_max_rad_s = speed_rad_s
         inner.asked = 1
 

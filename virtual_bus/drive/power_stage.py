@@ -128,6 +128,12 @@ def current_per_rms(motor: PmsmParameters) -> float:
     return math.sqrt(3.0 if motor.transform is Transform.POWER_INVARIANT else 2.0)
 
 
+def peak_current_a(motor: PmsmParameters, protection: Protection | None) -> float:
+    """The largest amplitude that the drive lets flow, in the motor's transform; inf: any."""
+    overload = None if protection is None else protection.overload
+    return math.inf if overload is None else current_per_rms(motor) * overload.peak_a_rms
+
+
 def fill_power_stage(
     inner: InnerLoops,
     motor: PmsmParameters,
