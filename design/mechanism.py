@@ -9,8 +9,15 @@ From motor torque to motor speed the load is a notch at w_a, and the rotor swing
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 
 class Side(Enum):
@@ -79,3 +86,28 @@ class Mechanism:
     coupling: Coupling | None = None
     friction: Friction | None = None
     cogging: tuple[CoggingHarmonic, ...] = ()
+
+
+def friction_nm(friction: Friction, coulomb_nm: float, viscous_nm_s: float, speed_rad_s: Array) -> Array:
+    """The friction torque (k,) in N m at k speeds that are not zero; ``coulomb_nm``: c at positive speed."""
+    coulomb = np.where(speed_rad_s > 0.0, coulomb_nm, friction.backward_nm)
+    more = (friction.breakaway_nm - coulomb_nm) / (1.0 + (speed_rad_s / friction.stribeck_rad_s) ** 2)
+    return (coulomb + more) * np.sign(speed_rad_s) + viscous_nm_s * speed_rad_s
+
+
+def speed_responses(coupling: Coupling, frequency_hz: Array) -> tuple[Complex, Complex]:
+    """From motor torque to the speed of motor and of load, rad/s per N m, (k,) each; without play and
+    friction."""
+    s = 2j * math.pi * frequency_hz
+    spring = coupling.stiffness_nm_rad + coupling.damping_nm_s * s
+    motor, load = coupling.motor_kg_m2 * s * s + spring, coupling.load_kg_m2 * s * s + spring
+    below = motor * load - spring * spring
+    return s * load / below, s * spring / below
+
+
+def cogging_nm(harmonics: Iterable[CoggingHarmonic], angle_rad: Array) -> Array:
+    """The torque (k,) in N m at k angles of the rotor."""
+    total = np.zeros_like(angle_rad)
+    for each in harmonics:
+        total += each.torque_nm * np.sin(each.per_turn * angle_rad + each.phase_rad)
+    return total

@@ -5,11 +5,13 @@ their ``[inverter]``, ``[current_sensor]``, ``[encoder]`` and ``[current_loop]``
 """
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
+from servobench.design.motor import PmsmParameters
 from servobench.drivers.bounded_file import NamedBy
 from servobench.hil.configuration.config_files import Section
 from servobench.hil.configuration.preset_files import FromPreset, load_file_or_preset
@@ -22,6 +24,7 @@ from servobench.virtual_bus.drive.power_stage import (
     Overload,
     Protection,
     Supply,
+    peak_current_a,
 )
 
 _TIME_CONSTANT_MIN_S = 1e-5
@@ -309,6 +312,15 @@ class DriveModel(FromPreset):
             "encoder": encoder.parameters,
             "speed": encoder.speed.parameters,
         }
+
+    def runs(self, motor: PmsmParameters) -> PmsmParameters:
+        """The motor as this drive can run it: at its link's voltage, as far as its output goes, with its peak
+        current."""
+        output = 1.0 if self.inverter is None else self.inverter.output_percent / 100.0
+        volts = motor.dc_bus_voltage_v if self.supply is None else self.supply.voltage_v
+        protection = None if self.protection is None else self.protection.parameters
+        current_a = min(motor.current_max_a, peak_current_a(motor, protection))
+        return replace(motor, dc_bus_voltage_v=output * volts, current_max_a=current_a)
 
 
 def load_drive_model(path: Path, named_by: NamedBy | None = None) -> DriveModel:

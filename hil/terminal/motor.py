@@ -4,7 +4,7 @@ import inspect
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -13,9 +13,6 @@ from servobench.hil.studies.motor.figures import FIGURES, GROUPS, SheetFigure, m
 from servobench.hil.terminal.commands import PlainGroup, add_commands
 from servobench.hil.terminal.options import JsonOption, MotorArgument, flag, motor_file, valued
 from servobench.hil.terminal.output import columns, put, say_written
-
-if TYPE_CHECKING:
-    from servobench.design.motor import PmsmParameters
 
 motor = typer.Typer(
     name="motor",
@@ -118,21 +115,36 @@ def _with_figures() -> None:
 def show(
     path: MotorArgument,
     picture: Annotated[
-        Path | None, valued("--picture", "FILE", "Plot torque over speed: .png, .svg or .pdf.")
+        Path | None, valued("--picture", "FILE", "Draw what the file means: .png, .svg or .pdf.")
+    ] = None,
+    like: Annotated[
+        Path | None,
+        valued("--like", "NAME", "Run by that drive, a preset or a file: its link, output and peak current."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Show figures derived from a motor file, in a data sheet's terms; torque over speed as a picture.
+    """Show figures derived from a motor file, in a data sheet's terms.
+
+    The picture: torque over speed at the voltage of the link, and of what the file has: friction over speed,
+    the coupling's frequency response, cogging over the angle.
 
     Examples:
       hil motor show motor.toml
+      hil motor show maxon-ec-40-48v --like epos4-50-5
     """
     from servobench.design.motor_figures import motor_figures
 
     parameters = motor_file(path).parameters
+    if like is not None:
+        from servobench.drivers.bounded_file import NamedBy
+        from servobench.hil.configuration.drive_model import load_drive_model
+
+        parameters = load_drive_model(like, NamedBy("--like", "", str(like))).runs(parameters)
     put({"name": parameters.name, **motor_figures(parameters)}, as_json, _print)
     if picture is not None:
-        _draw(parameters, picture)
+        from servobench.hil.studies.motor.drawing import draw_motor
+
+        draw_motor(parameters, picture)
         say_written(picture)
 
 
@@ -143,26 +155,6 @@ def _print(figures: dict[str, Any]) -> None:
     for key, value in figures.items():
         table.add_row(key, value if isinstance(value, str) else f"{value:.5g}")
     Console().print(table)
-
-
-def _draw(parameters: "PmsmParameters", path: Path) -> None:
-    import numpy as np
-
-    from servobench.design.motor_figures import speed_limit, torque_limit
-    from servobench.drivers.rotation import RPM_PER_RAD_S
-    from servobench.hil.studies.drawing import picture
-
-    speed = np.linspace(0.0, 1.02 * speed_limit(parameters, 0.0), 600)
-    with picture(path, size=(7.0, 4.2), asked_by="--picture") as axes:
-        axes.plot(speed * RPM_PER_RAD_S, torque_limit(parameters, speed), label="peak, i_d = 0")
-        axes.axhline(parameters.rated_torque_nm, color="0.5", linestyle="--", label="rated torque")
-        axes.plot(
-            parameters.rated_speed_rad_s * RPM_PER_RAD_S, parameters.rated_torque_nm, "o", label="rated point"
-        )
-        axes.set(
-            xlabel="speed, r/min", ylabel="torque, N m", xlim=(0, None), ylim=(0, None), title=parameters.name
-        )
-        axes.legend(frameon=False)
 
 
 _with_figures()
