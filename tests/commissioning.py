@@ -10,14 +10,13 @@ import numpy as np
 
 from servobench.drivers.timebase import NS_PER_S, Duration, Instant
 from servobench.drivers.wire.adapters import parse_bus_spec
-from servobench.hil.commissioning.commission import commission
+from servobench.hil.commissioning.commission import all_steps, commission
 from servobench.hil.commissioning.dialog import Dialog, EmergencyStop
 from servobench.hil.commissioning.findings import StepOutcome
 from servobench.hil.commissioning.report import Commissioned
 from servobench.hil.commissioning.request import CommissionRequest, Nameplate
 from servobench.hil.commissioning.sequence import Step
 from servobench.hil.commissioning.session import Session
-from servobench.hil.commissioning.steps import all_steps
 from servobench.hil.configuration.bench_file import faults_from
 from servobench.hil.execution.world import WorldPlan, open_world
 from servobench.hil.write_lists import COMMISSION

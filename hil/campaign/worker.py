@@ -15,9 +15,8 @@ from typing import Any, Final, NamedTuple
 
 from servobench.drivers.errors import BadInput, BenchError
 from servobench.drivers.timebase import MonotonicClock
-from servobench.hil.campaign.adaptive import Drawn
 from servobench.hil.campaign.identity import Identity, require_program
-from servobench.hil.campaign.plan import CampaignPlan, PlannedRun, refuse_real_time
+from servobench.hil.campaign.plan import CampaignPlan, Drawn, PlannedRun, refuse_real_time
 from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.configuration.config_files import BadInputs
 from servobench.hil.control.own_code import OwnCodeFailed, object_of

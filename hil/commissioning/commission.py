@@ -1,5 +1,5 @@
-"""Runs a commissioning from the command line to the files, and back to the drive's former settings;
-``hil restore``."""
+"""Runs a commissioning, step by step, from the command line to the files, and back to the
+drive's former settings."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -28,7 +28,15 @@ from servobench.hil.commissioning.report import Commissioned, as_json, summary_o
 from servobench.hil.commissioning.request import CommissionRequest, Nameplate, Rehearsal
 from servobench.hil.commissioning.sequence import Step, run_sequence
 from servobench.hil.commissioning.session import Session
-from servobench.hil.commissioning.steps import all_steps
+from servobench.hil.commissioning.steps_current import TorqueConstant
+from servobench.hil.commissioning.steps_design import Suggest, Verify
+from servobench.hil.commissioning.steps_dynamics import Delays, Response
+from servobench.hil.commissioning.steps_mechanics import MechanicsStep
+from servobench.hil.commissioning.steps_setup import EnableAtZero, SetUp, Watchdog
+from servobench.hil.commissioning.steps_static import BusCheck, DumpStep, IdentityCheck, UnitsTold
+from servobench.hil.commissioning.steps_stopping import StopProof, StopSettings
+from servobench.hil.commissioning.steps_units import MotionUnits, Polarity, Turn
+from servobench.hil.commissioning.steps_voltage import VoltageConstant
 from servobench.hil.execution.world import World, WorldPlan, drive_network, open_world
 from servobench.hil.machine.realtime import timing_conditions
 from servobench.hil.machine.stopping import stop_signals
@@ -37,6 +45,32 @@ from servobench.hil.restoring.restore import DISABLED, await_answer, restore
 from servobench.hil.rows.run_files import BENCH_FILE, COMMISSIONING_RECORDING
 from servobench.hil.write_lists import COMMISSION, RESTORE
 from servobench.virtual_bus.device.canopen_device import CanopenDevice
+
+
+def all_steps() -> list[Step]:
+    """Return new steps, for one commissioning."""
+    return [
+        BusCheck(),
+        IdentityCheck(),
+        DumpStep(),
+        UnitsTold(),
+        SetUp(),
+        StopSettings(),
+        Watchdog(),
+        EnableAtZero(),
+        Polarity(),
+        MotionUnits(),
+        Turn(),
+        StopProof(),
+        MechanicsStep(),
+        TorqueConstant(),
+        VoltageConstant(),
+        Response(),
+        Delays(),
+        Suggest(),
+        Verify(),
+    ]
+
 
 SAVE: bytes = b"save"
 """Signature required by 1010h (CiA 301 7.5.2.13)."""

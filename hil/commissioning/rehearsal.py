@@ -15,7 +15,7 @@ from servobench.drivers.cia402.scaling import ENCODER_COUNTS_MIN
 from servobench.drivers.wire.adapters import shared_bus
 from servobench.drivers.written_file import write_file
 from servobench.hil.commissioning.request import CommissionRequest, Rehearsal
-from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.execution.device_files import DeviceFiles
 from servobench.hil.execution.simulated_drives import host_drives, servo_of
 from servobench.hil.execution.world import WorldPlan

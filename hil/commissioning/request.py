@@ -1,4 +1,4 @@
-"""The user's request and permissions."""
+"""The user's request and permissions, and the laboratory that asks."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -16,9 +16,8 @@ from servobench.drivers.errors import BadInput
 from servobench.drivers.printable import printable
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.vendors.motor_objects import POLE_PAIRS_MAX
-from servobench.hil.commissioning.laboratory import Laboratory
 from servobench.hil.configuration.config import Foreign, Guard
-from servobench.hil.configuration.config_files import Section, other_kind, validated
+from servobench.hil.configuration.config_files import Section, load_file, other_kind, validated
 from servobench.hil.configuration.motor_file import LING2012, MotorFile
 from servobench.hil.configuration.quantities import (
     Current,
@@ -30,6 +29,26 @@ from servobench.hil.configuration.quantities import (
     Voltage,
 )
 from servobench.hil.restoring.journal import restore_command
+
+
+class Laboratory(Section):
+    """``--lab FILE``: who commissions, and where."""
+
+    operator: str | None = None
+    """Name of the operator."""
+    site: str | None = None
+    """Place and test stand."""
+    order: str | None = None
+    """Number of the order or of the device under test."""
+
+
+def load_laboratory(path: Path | None, operator: str | None, site: str | None) -> Laboratory:
+    """Return the file's content; ``operator`` and ``site`` go before it. Raises BadInput or BadInputs."""
+    found = Laboratory()
+    if path is not None:
+        found = load_file(Laboratory, path, "a file of --lab", NamedBy("--lab", "", str(path)))
+    given = {"operator": operator, "site": site}
+    return found.model_copy(update={key: text for key, text in given.items() if text is not None})
 
 
 class PlateMotor(Section):

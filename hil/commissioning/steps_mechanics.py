@@ -22,8 +22,7 @@ from servobench.hil.commissioning.identify import (
     identify_mechanics,
 )
 from servobench.hil.commissioning.nameplate import compare_inertia
-from servobench.hil.commissioning.plots import draw_angle, draw_mechanics
-from servobench.hil.commissioning.ripple import torque_by_angle
+from servobench.hil.commissioning.plots import draw_angle, draw_mechanics, torque_by_angle
 from servobench.hil.commissioning.sequence import Step
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.torque_scale import torque_scale

@@ -17,11 +17,10 @@ from servobench.drivers.instruments.magtrol import Dialect, dialect
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Duration
 from servobench.drivers.wire.adapters import SIMULATED
 from servobench.hil.configuration.config_axis import DriveConfig
-from servobench.hil.configuration.config_files import F, Section, load_file
+from servobench.hil.configuration.config_files import F, Section, load_file, toml_text
 from servobench.hil.configuration.network_file import stamp_resolutions_us
 from servobench.hil.configuration.quantities import WHOLE, HeartbeatTimeout, Torque
 from servobench.hil.configuration.references import Load, Reference
-from servobench.hil.configuration.toml_text import toml_text
 from servobench.hil.loop.scenario import Quantity
 from servobench.hil.loop.syncs import HORIZON_MAX
 from servobench.hil.verdict.limits import LIMITED, VerdictLimits

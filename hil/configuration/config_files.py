@@ -3,6 +3,10 @@
 A validator's messages become errors that a user can act on. Every fault of a file is reported at once: one
 :class:`servobench.drivers.errors.BadInput` each, with the file, the dotted key, the value found and what was
 expected.
+
+Writes plain tables as TOML text, which the standard library reads but does not write.
+
+tomlkit takes 40 ms to load: only a writer, or an error about a bad key, waits for it.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -15,7 +19,24 @@ from pydantic_core import ErrorDetails
 from servobench.drivers.bounded_file import NamedBy, read_toml
 from servobench.drivers.errors import MISSING, BadInput, BenchError
 from servobench.drivers.key_advice import UnknownKey, unknown_key
-from servobench.hil.configuration.toml_text import key_text
+
+
+def toml_text(tables: Mapping[str, Any]) -> str:
+    """Return ``tables`` as TOML v1.0: reading it back gives an equal mapping.
+
+    Values: bool, int, float, str, and lists and tables of them. Raises TypeError for another type.
+    """
+    import tomlkit
+
+    return tomlkit.dumps(tables)
+
+
+def key_text(key: str) -> str:
+    """Return one key, in quotes if it needs them."""
+    import tomlkit
+
+    return tomlkit.key(key).as_string()
+
 
 Location = tuple[int | str, ...]
 

@@ -20,7 +20,6 @@ from servobench.hil.configuration.controller_files import (
     MadeFor,
     Rows,
 )
-from servobench.hil.configuration.controller_section import AxisController
 from servobench.hil.configuration.drive_file import LoopOfDrive
 from servobench.hil.configuration.quantities import (
     Gain,
@@ -41,6 +40,21 @@ from servobench.hil.control.predictor import LoadCancelling, Predictor
 from servobench.hil.control.setup import Setup
 from servobench.hil.loop.axis_roles import Compensator, Controller
 from servobench.hil.loop.scenario import Quantity
+
+
+class AxisController(Section):
+    """``[drive.NAME.controller]`` of any kind; by default a speed loop over torques."""
+
+    gives: ClassVar[tuple[Quantity, ...]] = (Quantity.TORQUE,)
+    """Set-points that it can give; a drive takes those of its mode."""
+
+    needs_count: ClassVar[bool] = False
+    """Position and speed of one SYNC are to travel in one TPDO."""
+
+    def follows(self, given: Quantity) -> Quantity | None:  # noqa: ARG002
+        """Return the reference that it takes if the drive is given ``given``; None: any."""
+        return Quantity.SPEED
+
 
 _ORDER_MAX = 64
 """States, or entries of a row; a design for a delay of 1.1 ms at 1 kHz has four."""

@@ -12,8 +12,7 @@ from pydantic import Field
 
 from servobench.drivers.bounded_file import NamedBy, read_toml
 from servobench.drivers.errors import BadInput
-from servobench.hil.configuration.config_files import Section, validated
-from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.configuration.config_files import Section, toml_text, validated
 
 NETWORK_FILE = "network.toml"
 

@@ -12,7 +12,7 @@ from pydantic import BaseModel, BeforeValidator, Field
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
-from servobench.hil.configuration.toml_text import key_text
+from servobench.hil.configuration.config_files import key_text
 
 
 class Usual(NamedTuple):

@@ -11,8 +11,8 @@ from servobench.design.confidence import CONFIDENCE, rank_above, share_within_la
 from servobench.drivers.canopen.pdo import PdoMap
 from servobench.drivers.timebase import NS_PER_US
 from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.configuration.network_file import Certainty, ClockHealth, LossChain, Network
-from servobench.hil.configuration.toml_text import toml_text
 from servobench.hil.execution.assembly import shortest_transit
 from servobench.hil.loop.axis import Axis
 from servobench.hil.loop.cycle_record import COMMAND_FATES, NOTHING

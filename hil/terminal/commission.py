@@ -101,8 +101,12 @@ def commission(asked: CommissionOptions) -> None:
       hil commission --bus simulated --node 1 --rehearse 7 --out lab --yes
       hil commission --bus socketcan:can0 --node 1 --out lab   # a real drive
     """
-    from servobench.hil.commissioning.laboratory import load_laboratory
-    from servobench.hil.commissioning.request import CommissionRequest, Nameplate, load_nameplate
+    from servobench.hil.commissioning.request import (
+        CommissionRequest,
+        Nameplate,
+        load_laboratory,
+        load_nameplate,
+    )
 
     request = CommissionRequest(
         bus=asked.bus,

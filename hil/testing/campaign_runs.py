@@ -8,7 +8,7 @@ from typing import Any
 
 from servobench.hil.campaign.campaign import Campaign, run_campaign
 from servobench.hil.configuration.bench_file import PathLike
-from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.configuration.config_files import toml_text
 
 
 class CampaignRunner:

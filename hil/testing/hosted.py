@@ -14,8 +14,8 @@ from servobench.drivers.bounded_file import NamedBy
 from servobench.drivers.errors import PeerFault
 from servobench.drivers.timebase import NS_PER_MS, Instant, MonotonicClock, duration_s
 from servobench.hil.configuration.bench_file import PathLike, faults_from, load_faults
+from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.configuration.motor_file import LING2012, MotorFile, load_motor
-from servobench.hil.configuration.toml_text import toml_text
 from servobench.hil.verdict.arguments import check_arguments
 from servobench.virtual_bus.child_python import python_command, python_environment
 from servobench.virtual_bus.hosting.injection import Faults

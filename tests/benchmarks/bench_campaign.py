@@ -27,7 +27,7 @@ from servobench.hil.campaign.pool import WorkerPool
 from servobench.hil.campaign.store import open_campaign
 from servobench.hil.campaign.sweep_file import sweep_from
 from servobench.hil.campaign.worker import Workshop
-from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.execution.bench import _Run
 from servobench.hil.machine.stopping import StopRequest
 

@@ -23,7 +23,7 @@ from servobench.hil.campaign.plan import CampaignPlan
 from servobench.hil.campaign.pool import RunRefused, WorkerDied
 from servobench.hil.campaign.worker import Answer, Workshop
 from servobench.hil.cli import app
-from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.machine.extras import MissingExtra
 from servobench.hil.machine.stopping import Interrupted, StopRequest
 from servobench.hil.verdict.verdict import ExitStatus

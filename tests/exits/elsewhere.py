@@ -26,7 +26,7 @@ import servobench
 from servobench.drivers.errors import BenchError
 from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from servobench.hil import cli
-from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.testing.hosted import DriveProcess
 from servobench.hil.verdict.verdict import ExitStatus
 from servobench.virtual_bus.child_python import python_command

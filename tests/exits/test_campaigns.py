@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.configuration.config_files import toml_text
 from servobench.virtual_bus.child_python import python_command
 from tests.exits.misused_hooks import __file__ as hooks
 from tests.scenario.processes import run_command

@@ -17,7 +17,7 @@ from servobench.drivers.errors import BenchError
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
 from servobench.hil.cli import app
 from servobench.hil.configuration.bench_file import Bench, bench_from
-from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.execution.bench import run_bench
 from servobench.hil.machine.progress import Progress, no_progress
 from servobench.hil.machine.stopping import StopRequest

@@ -12,10 +12,10 @@ from typer.testing import CliRunner
 from servobench.drivers.bounded_file import NamedBy
 from servobench.drivers.cia402.profile import State
 from servobench.hil.cli import app
+from servobench.hil.commissioning.commission import all_steps
 from servobench.hil.commissioning.rehearsal import rehearsed_drive
-from servobench.hil.commissioning.steps import all_steps
 from servobench.hil.configuration.bench_file import load_faults
-from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.execution.world import WorldPlan
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from tests.rehearsals.made_sheet import MadeSheet

@@ -25,7 +25,7 @@ from servobench.hil.campaign.pool import DEATHS_MAX, RunRefused, Worker, WorkerD
 from servobench.hil.campaign.store import open_campaign
 from servobench.hil.campaign.worker import NotTheSame
 from servobench.hil.cli import app
-from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.machine.stopping import Interrupted, StopRequest
 from servobench.hil.testing.campaign_runs import CampaignRunner
 from tests.rrd_columns import columns

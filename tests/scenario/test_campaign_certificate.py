@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from servobench.hil.campaign.campaign import CounterExample, NothingCertified, run_campaign
 from servobench.hil.cli import app
-from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.testing.campaign_runs import CampaignRunner
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -14,8 +14,7 @@ from servobench.hil.campaign.campaign import Campaign, CampaignProgress, run_cam
 from servobench.hil.campaign.store import StoreSeal
 from servobench.hil.campaign.worker import NotTheSame
 from servobench.hil.cli import app
-from servobench.hil.configuration.config_files import BadInputs
-from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.configuration.config_files import BadInputs, toml_text
 from tests.scenario.test_campaign import CHANGES, LING
 
 CONTROLLER = """

@@ -10,7 +10,7 @@ from servobench.drivers.errors import BadInput
 from servobench.hil.campaign.campaign import FAILURES_FOLDER, Campaign, run_campaign
 from servobench.hil.campaign.plan import CampaignPlan
 from servobench.hil.cli import app
-from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.control.own_code import OwnCodeFailed
 
 ROOT = Path(__file__).parents[2]

@@ -25,14 +25,13 @@ from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.drivers.wire.frame_port import FramePort, WireFrame
 from servobench.drivers.wire.link import BusLink, StampSource
 from servobench.drivers.written_file import DiskFull
-from servobench.hil.commissioning.commission import check_mark, commission
+from servobench.hil.commissioning.commission import all_steps, check_mark, commission
 from servobench.hil.commissioning.dialog import Dialog, EmergencyStop
 from servobench.hil.commissioning.findings import StepOutcome, StepVerdict
 from servobench.hil.commissioning.report import Commissioned
 from servobench.hil.commissioning.request import CommissionRequest, Nameplate
 from servobench.hil.commissioning.sequence import Step
 from servobench.hil.commissioning.session import Session
-from servobench.hil.commissioning.steps import all_steps
 from servobench.hil.execution.world import World, WorldPlan, open_world
 from servobench.hil.machine.stopping import Interrupted
 from servobench.hil.restoring.journal import DriveMark, append_restored, read_journal

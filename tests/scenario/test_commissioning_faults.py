@@ -8,14 +8,13 @@ import pytest
 
 from servobench.drivers.cia402.profile import State
 from servobench.drivers.wire.adapters import parse_bus_spec
-from servobench.hil.commissioning.commission import commission
+from servobench.hil.commissioning.commission import all_steps, commission
 from servobench.hil.commissioning.dialog import Dialog, EmergencyStop
 from servobench.hil.commissioning.findings import StepOutcome
 from servobench.hil.commissioning.report import REPORT_FILE
 from servobench.hil.commissioning.request import CommissionRequest, Nameplate
 from servobench.hil.commissioning.sequence import Step
 from servobench.hil.commissioning.session import Session
-from servobench.hil.commissioning.steps import all_steps
 from servobench.hil.execution.world import WorldPlan, open_world
 from servobench.hil.rows.run_files import COMMISSIONING_RECORDING, EVENTS_FILE
 from servobench.virtual_bus.drive.unknown_drive import unknown_drive

@@ -18,7 +18,7 @@ import pytest
 
 from servobench.drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
 from servobench.drivers.wire.adapters import open_bus, parse_bus_spec
-from servobench.hil.commissioning.commission import commission
+from servobench.hil.commissioning.commission import all_steps, commission
 from servobench.hil.commissioning.dialog import Choice, Dialog, EmergencyStop, Idle
 from servobench.hil.commissioning.findings import StepOutcome, StepVerdict
 from servobench.hil.commissioning.recording import SessionLog
@@ -26,7 +26,6 @@ from servobench.hil.commissioning.report import Commissioned
 from servobench.hil.commissioning.request import CommissionRequest, Nameplate
 from servobench.hil.commissioning.sequence import Step
 from servobench.hil.commissioning.session import Session
-from servobench.hil.commissioning.steps import all_steps
 from servobench.hil.execution.world import World, WorldPlan, open_world
 from servobench.hil.restoring.journal import JournaledNetwork
 from servobench.hil.write_lists import COMMISSION

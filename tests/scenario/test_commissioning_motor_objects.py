@@ -10,8 +10,8 @@ from typing import Any, cast
 import pytest
 
 from servobench.drivers.canopen.data_types import DataType
+from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.configuration.motor_file import LING2012, load_motor
-from servobench.hil.configuration.toml_text import toml_text
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from servobench.virtual_bus.drive.unknown_drive import nameplate_of
 from tests.rehearsals.made_sheet import MadeSheet

@@ -11,7 +11,7 @@ from typer.testing import CliRunner, Result
 
 from servobench.hil.cli import app
 from servobench.hil.commissioning import commission
-from servobench.hil.commissioning.steps import all_steps
+from servobench.hil.commissioning.commission import all_steps
 from servobench.hil.execution import world
 from servobench.hil.execution.world import World, WorldPlan
 from servobench.hil.measuring import measure

@@ -10,11 +10,10 @@ from servobench.drivers.cia402.profile import State
 from servobench.drivers.errors import DriveInFault
 from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.hil.cli import app
-from servobench.hil.commissioning.commission import commission
+from servobench.hil.commissioning.commission import all_steps, commission
 from servobench.hil.commissioning.dialog import Dialog, EmergencyStop
 from servobench.hil.commissioning.request import CommissionRequest, Nameplate
-from servobench.hil.commissioning.steps import all_steps
-from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.execution.world import WorldPlan, open_world
 from servobench.virtual_bus.drive.unknown_drive import unknown_drive
 from servobench.virtual_bus.frame import Frame

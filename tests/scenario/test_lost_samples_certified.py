@@ -9,8 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 from servobench.hil.cli import app
+from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.configuration.motor_file import LING2012
-from servobench.hil.configuration.toml_text import toml_text
 from servobench.hil.execution.network_guard import Certificates
 from servobench.hil.studies.speed.dynamic import design_speed_predictor, request_of
 from tests.floor_runs import Case

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from servobench.hil.cli import app
-from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.configuration.config_files import toml_text
 from tests.rrd_columns import numbers
 from tests.scenario.processes import BENCH, hub_name, simulated_drive
 from tests.unit.hil.test_observed_objects import EXAMPLES, told

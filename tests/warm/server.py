@@ -35,7 +35,7 @@ ROLES: Final = {
         "servobench.hil.cli",
         "servobench.hil.commissioning.session",
         "servobench.hil.configuration.bench_file",
-        "servobench.hil.configuration.toml_text",
+        "servobench.hil.configuration.config_files",
         "servobench.hil.execution.bench",
         "servobench.hil.execution.simulated_drives",
         "servobench.hil.inspecting.scanning",

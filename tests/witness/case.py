@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from servobench.drivers.timebase import NS_PER_S, Instant, MonotonicClock
+from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.configuration.motor_file import LING2012
-from servobench.hil.configuration.toml_text import toml_text
 from servobench.virtual_bus.drive.unknown_drive import nameplate_of
 from tests.rehearsals.rehearsal import fault_options
 from tests.witness.frames import Access, Frame, NodeListener

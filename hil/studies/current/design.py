@@ -20,7 +20,7 @@ from servobench.design.hinf.reduction import Method
 from servobench.design.motor import PmsmParameters
 from servobench.design.statespace import StateSpace, zpk
 from servobench.drivers.errors import BadInput
-from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.studies.current.figures import CurrentRequest, OtherAxis, robust_figures, sampled_design
 
 GAMMA = 1.0

@@ -8,9 +8,8 @@ from servobench.design.data_sheet import DataSheet, InconsistentSheet, at_temper
 from servobench.design.flux_constants import CONVENTIONS
 from servobench.drivers.errors import MISSING, BadInput
 from servobench.drivers.rotation import RAD_S_PER_RPM
-from servobench.hil.configuration.config_files import BadInputs
+from servobench.hil.configuration.config_files import BadInputs, toml_text
 from servobench.hil.configuration.motor_file import MotorFile, MotorMechanics, Rating, Windings
-from servobench.hil.configuration.toml_text import toml_text
 from servobench.hil.studies.motor.figures import GROUPS, SEVERAL, missing, option, ways
 from servobench.hil.studies.numbers import short
 

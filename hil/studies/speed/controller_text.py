@@ -14,7 +14,7 @@ from servobench.design.sampled.bandwidth_range import BandwidthRange
 from servobench.design.sampled.held_loop import SampledNetwork, Strategy
 from servobench.design.verify.digest import digest_of
 from servobench.drivers.timebase import US_PER_S
-from servobench.hil.configuration.config_files import Section
+from servobench.hil.configuration.config_files import Section, toml_text
 from servobench.hil.configuration.controller_files import (
     Certificate,
     CurrentLoop,
@@ -23,7 +23,6 @@ from servobench.hil.configuration.controller_files import (
     SequenceProof,
 )
 from servobench.hil.configuration.controller_kinds import StateFeedbackController
-from servobench.hil.configuration.toml_text import toml_text
 from servobench.hil.studies.numbers import finite
 from servobench.hil.studies.speed.synthesis import DesignResult
 

@@ -9,7 +9,7 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import binom, norm
 
 from servobench.drivers.errors import BadInput
-from servobench.hil.campaign.adaptive import NOMINAL_SHARE, Drawn, Rounds
+from servobench.hil.campaign.plan import NOMINAL_SHARE, Drawn, Rounds
 from servobench.hil.campaign.statistics import ConfidenceInterval, weighted_rate
 from servobench.hil.campaign.sweep_file import Adaptive, sweep_from
 

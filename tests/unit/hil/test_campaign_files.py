@@ -11,14 +11,12 @@ import pyarrow as pa
 import pytest
 
 from servobench.drivers.errors import BadInput
-from servobench.hil.campaign.adaptive import Proposal, fitted
 from servobench.hil.campaign.identity import digest_of, opened_files
-from servobench.hil.campaign.plan import CampaignPlan
+from servobench.hil.campaign.plan import CampaignPlan, Proposal, fitted
 from servobench.hil.campaign.store import open_campaign, plan_in, schema_of
 from servobench.hil.campaign.sweep_file import sweep_from
 from servobench.hil.campaign.worker import FIGURES
-from servobench.hil.configuration.config_files import bad_inputs_of
-from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.configuration.config_files import bad_inputs_of, toml_text
 from tests.unit.hil.test_campaign_plan import GAIN, INERTIA, LING, LOSS, plan, tables
 
 KEY = "loop.deadline_us"

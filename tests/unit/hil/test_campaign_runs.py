@@ -16,7 +16,7 @@ from servobench.hil.campaign.campaign import Campaign, CampaignProgress, Enough,
 from servobench.hil.campaign.plan import CampaignPlan
 from servobench.hil.campaign.statistics import anytime
 from servobench.hil.campaign.worker import FIGURES, NotTheSame
-from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.configuration.config_files import toml_text
 from tests.unit.hil.test_campaign_plan import LOSS, tables
 
 pytestmark = pytest.mark.usefixtures("forked_children")

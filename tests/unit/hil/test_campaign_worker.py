@@ -14,8 +14,7 @@ import pytest
 
 from servobench.drivers.errors import BadInput, BusDown
 from servobench.hil.campaign import worker
-from servobench.hil.campaign.adaptive import Drawn
-from servobench.hil.campaign.plan import CampaignPlan, PlannedRun
+from servobench.hil.campaign.plan import CampaignPlan, Drawn, PlannedRun
 from servobench.hil.campaign.worker import (
     FIGURES,
     Finished,
@@ -24,7 +23,7 @@ from servobench.hil.campaign.worker import (
     refusal,
     row_of_run,
 )
-from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.control.own_code import OwnCodeFailed
 from servobench.hil.machine.stopping import Interrupted, StopRequest
 from servobench.hil.recording.recorder import recorder_of

@@ -20,7 +20,7 @@ from servobench.hil.commissioning.identify import (
     ratio_of,
     slope_error,
 )
-from servobench.hil.commissioning.ripple import torque_by_angle
+from servobench.hil.commissioning.plots import torque_by_angle
 from servobench.hil.reviewing.network_meter import runs_of
 
 Array = NDArray[Any]

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from servobench.hil.commissioning.excitation import FrequencyResponse, StepLag
 from servobench.hil.commissioning.exercise import Recording
 from servobench.hil.commissioning.plots import (
+    TorqueByAngle,
     draw_angle,
     draw_current,
     draw_delays,
@@ -18,7 +19,6 @@ from servobench.hil.commissioning.plots import (
     draw_response,
     draw_verification,
 )
-from servobench.hil.commissioning.ripple import TorqueByAngle
 from tests.unit.hil.simulated_shaft import shaft_of
 
 RPM: Final = 30.0 / math.pi

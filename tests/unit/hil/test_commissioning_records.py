@@ -9,7 +9,7 @@ from servobench.drivers.exchange import Command, Reading
 from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.hil.commissioning.exercise import Recording, recording_of
 from servobench.hil.commissioning.identify import Array, Mechanics, identify_mechanics, plain_ratio, ratio_of
-from servobench.hil.commissioning.ripple import torque_by_angle
+from servobench.hil.commissioning.plots import torque_by_angle
 from servobench.hil.loop.cycle_record import CycleRecord
 from servobench.hil.loop.samples import CommandFate, Dropout, DropoutCause, Observation, Sample, Sending
 from tests.unit.hil.row_tools import cycle_record

@@ -11,6 +11,7 @@ from typing import IO, Any, cast
 import pytest
 
 from servobench.drivers.errors import BusDown, LimitExceeded
+from servobench.hil.commissioning.commission import all_steps
 from servobench.hil.commissioning.dialog import Choice, Dialog, EmergencyStop, Idle, Terminal
 from servobench.hil.commissioning.findings import (
     ReadingsLost,
@@ -21,7 +22,6 @@ from servobench.hil.commissioning.findings import (
 )
 from servobench.hil.commissioning.sequence import Abandoned, Step, run_sequence
 from servobench.hil.commissioning.session import Session
-from servobench.hil.commissioning.steps import all_steps
 from servobench.hil.commissioning.steps_static import DumpStep
 from servobench.hil.commissioning.steps_stopping import StopProof
 from servobench.hil.commissioning.steps_units import Turn

@@ -7,13 +7,12 @@ import pytest
 
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.wire.adapters import parse_bus_spec
-from servobench.hil.commissioning.commission import commission
+from servobench.hil.commissioning.commission import all_steps, commission
 from servobench.hil.commissioning.dialog import Dialog, EmergencyStop
 from servobench.hil.commissioning.findings import StepRecord
 from servobench.hil.commissioning.report import Commissioned
 from servobench.hil.commissioning.request import CommissionRequest, Nameplate
 from servobench.hil.commissioning.sequence import Step
-from servobench.hil.commissioning.steps import all_steps
 from servobench.hil.configuration.drive_file import load_drive_file
 from servobench.hil.execution.world import WorldPlan, open_world
 from servobench.virtual_bus.device.object_dictionary import Access, Variable

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from servobench.drivers.errors import BadInput
 from servobench.drivers.printable import printable
 from servobench.hil.configuration.bench_file import bench_from
-from servobench.hil.configuration.config_files import BadInputs, bad_inputs_of
-from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.configuration.config_files import BadInputs, bad_inputs_of, toml_text
 from tests.unit.hil.test_toml_text import VALUES
 
 pytestmark = pytest.mark.long

@@ -20,9 +20,8 @@ import servobench
 from servobench.drivers.errors import BadInput
 from servobench.hil.configuration.bench_file import faults_from, load_bench
 from servobench.hil.configuration.config import Background
-from servobench.hil.configuration.config_files import BadInputs
+from servobench.hil.configuration.config_files import BadInputs, toml_text
 from servobench.hil.configuration.controller_files import CurrentLoop
-from servobench.hil.configuration.toml_text import toml_text
 from servobench.virtual_bus.faults.register import TABLES
 from tests.pictures.cases import FAULTS
 from tests.scenario.processes import BENCH

@@ -21,8 +21,8 @@ from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.drivers.wire.link import BusLink
 from servobench.hil.configuration.bench_file import bench_from
 from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.configuration.motor_file import LING2012
-from servobench.hil.configuration.toml_text import toml_text
 from servobench.hil.execution import simulated_drives as hosting
 from servobench.hil.execution.device_files import DeviceFiles
 from servobench.hil.execution.simulated_drives import (

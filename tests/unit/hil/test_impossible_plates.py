@@ -12,7 +12,7 @@ from servobench.hil.cli import app
 from servobench.hil.commissioning.findings import StepRecord, StepVerdict
 from servobench.hil.commissioning.report import Commissioned
 from servobench.hil.commissioning.request import PlateMotor
-from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.configuration.config_files import toml_text
 from servobench.virtual_bus.drive.unknown_drive import unknown_drive
 from tests.commissioning import unknown_world
 

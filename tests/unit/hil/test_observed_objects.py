@@ -12,8 +12,8 @@ from typer.testing import CliRunner, Result
 
 from servobench import Run, run
 from servobench.hil.cli import app
+from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.configuration.motor_file import LING2012
-from servobench.hil.configuration.toml_text import toml_text
 from tests.recorded_frames import candump
 from tests.rrd_columns import numbers
 
