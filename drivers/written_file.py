@@ -4,9 +4,12 @@ to.
 A link is followed. A regular file, or one that is not there yet, is written beside its place and put there by
 one rename. What is no regular file (/dev/stdout, /dev/null, a FIFO) gets the content; a folder and a block
 device are refused.
+
+Writes that are on the disk when a call returns, and not only in the kernel's cache.
 """
 
 import errno
+import fcntl
 import itertools
 import os
 import shutil
@@ -15,7 +18,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final
+from typing import BinaryIO, Final
 
 from servobench.drivers.errors import BadInput, BenchError
 
@@ -107,3 +110,34 @@ def _pour(part: Path, path: Path) -> None:
     descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC)
     with part.open("rb") as source, open(descriptor, "wb") as sink:
         shutil.copyfileobj(source, sink)
+
+
+def write_synced(file: BinaryIO, data: bytes) -> None:
+    """Write ``data`` and wait until the disk has it. Error: OSError."""
+    file.write(data)
+    file.flush()
+    os.fsync(file.fileno())
+
+
+def is_locked(path: Path) -> bool:
+    """Return True if somebody holds the lock (flock) of a file; False for a missing file."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False
+
+
+def sync_folder(folder: Path) -> None:
+    """Wait until the disk has the folder's entries, e.g. a new or renamed file. Error: OSError."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

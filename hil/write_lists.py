@@ -1,7 +1,7 @@
 """The objects that each command may write to a drive by SDO: any other write is refused unsent.
 
 ``docs/writes.md`` shows them; ``python docs/make_writes.py`` renews it. The reason for each object stands
-beside it, here and in :mod:`servobench.drivers.cia402.written_objects`.
+beside it, here and in :mod:`servobench.drivers.cia402.objects402`.
 """
 
 from collections.abc import Mapping
@@ -10,8 +10,7 @@ from typing import Final
 
 from servobench.drivers.canopen.objects301 import Cia301
 from servobench.drivers.canopen.write_list import NOTHING, ListedWrite, WriteList
-from servobench.drivers.cia402.objects402 import Object
-from servobench.drivers.cia402.written_objects import CONTROL, MOTION, SET_UP, listed
+from servobench.drivers.cia402.objects402 import CONTROL, MOTION, SET_UP, Object, listed
 from servobench.virtual_bus.drive.load_object import (
     LOAD_COURSE_SUB,
     LOAD_DELAY_SUB,

@@ -2,6 +2,9 @@
 
 from typing import Final
 
+from servobench.drivers.canopen.error_codes import error_text
+from servobench.drivers.wire.identifiers import ERROR_FLAG, STANDARD_ID_MAX
+
 NMT: Final = 0x000
 SYNC: Final = 0x080
 TIME: Final = 0x100
@@ -52,3 +55,21 @@ def restricted(can_id: int) -> bool:
     """Return True if no SYNC, TIME, EMCY, PDO or SDO may be configured to this CAN-ID (CiA 301, 7.3.5, table
     40)."""
     return any(can_id in ids for ids in _RESTRICTED)
+
+
+_EMCY_CODE_BYTES = 2
+
+
+def frame_name(can_id: int, data: bytes = b"") -> str:
+    """Describe a frame, e.g. ``EMCY of node 1, 4310h excess temperature of the drive``."""
+    if can_id in BROADCASTS:
+        return BROADCASTS[can_id]
+    if can_id & ERROR_FLAG:
+        return "error frame"
+    service, node = SERVICES.get(can_id & ~NODE_BITS), can_id & NODE_BITS
+    if service is None or not node or can_id > STANDARD_ID_MAX:
+        return "no identifier of CANopen"
+    if service == "EMCY" and len(data) >= _EMCY_CODE_BYTES:
+        code = int.from_bytes(data[:_EMCY_CODE_BYTES], "little")
+        return f"EMCY of node {node}, {code:04X}h {error_text(code)}"
+    return f"{service} of node {node}"

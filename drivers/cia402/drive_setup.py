@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from servobench.drivers.canopen.error_control import WatchTimes
-from servobench.drivers.canopen.greatest import write_greatest
-from servobench.drivers.canopen.objects import RemoteObjects, SettingRefused
+from servobench.drivers.canopen.objects import RemoteObjects, SettingRefused, write_greatest
 from servobench.drivers.canopen.objects301 import Cia301
 from servobench.drivers.canopen.pdo import PdoPlan
 from servobench.drivers.canopen.pdo_capability import PdoCapability

@@ -3,8 +3,7 @@
 import math
 from typing import Final
 
-from servobench.drivers.canopen.greatest import write_greatest
-from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.canopen.objects import RemoteObjects, write_greatest
 from servobench.drivers.cia402.drive_setup import DriveSettings
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode

@@ -8,8 +8,7 @@ Speeds are those of the motor's shaft, as in 6080h. Each object that is missing 
 
 import math
 
-from servobench.drivers.canopen.greatest import write_greatest
-from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.canopen.objects import RemoteObjects, write_greatest
 from servobench.drivers.cia402.drive_setup import DriveSettings, write_optional
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode

@@ -2,16 +2,20 @@
 
 :mod:`servobench.drivers.sheets.eds` reads the files. Every repair on the way is a :class:`Repair`; none is
 silent.
+
+Identifies the device of a data sheet: by 1018h, else by [DeviceInfo] (CiA 306-1).
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import canopen.objectdictionary as od
 from canopen.objectdictionary import ObjectDictionary, ODVariable
 
 from servobench.drivers.bounded_file import read_bytes
+from servobench.drivers.canopen.objects301 import Cia301
 from servobench.drivers.errors import BadInput
 from servobench.drivers.sheets.eds.connection_set import add_compact_pdos, free_of_node
 from servobench.drivers.sheets.eds.information import (
@@ -24,12 +28,10 @@ from servobench.drivers.sheets.eds.information import (
     read_dummies,
     read_file_information,
 )
-from servobench.drivers.sheets.eds.model import to_canopen
-from servobench.drivers.sheets.eds.objects import EdsObject, build_objects
-from servobench.drivers.sheets.eds.repairs import NoDataSheet, RepairLog
-from servobench.drivers.sheets.eds.repairs import Repair as Repair
+from servobench.drivers.sheets.eds.objects import EdsObject, build_objects, to_canopen
 from servobench.drivers.sheets.eds.sections import Sections, object_of, read_sections
-from servobench.drivers.sheets.eds.text import lines_of
+from servobench.drivers.sheets.eds.text import NoDataSheet, RepairLog, lines_of
+from servobench.drivers.sheets.eds.text import Repair as Repair
 from servobench.drivers.sheets.eds.xml_sections import NoXmlSheet, read_xml_sections
 
 _WHAT = "EDS or DCF file (CiA 306-1), or XDD or XDC file (CiA 311)"
@@ -142,3 +144,40 @@ def _refuse_other_formats(data: bytes, source: str) -> None:
     """Refuse files that are mistaken for data sheets, each with the cure."""
     if _beginning(data).startswith((b"pk\x03\x04", b"\x1f\x8b", b"rar!", b"7z\xbc\xaf")):
         raise BadInput(source, "", "an archive", _EXPECTED, "unpack it first")
+
+
+_PARTS = ("vendor", "product", "revision")
+
+
+class ToldIdentity(NamedTuple):
+    """The numbers in a sheet for each part of an identity, 1018h's first; 0 is none. With two the sheet
+    contradicts itself, and a device may have either."""
+
+    vendor: tuple[int, ...]
+    product: tuple[int, ...]
+    revision: tuple[int, ...]
+
+    def strangers(self, vendor: int, product: int, revision: int) -> list[tuple[str, int, int]]:
+        """Return part, the sheet's number and the device's number wherever they differ; an unknown number on
+        either side does not differ."""
+        held = (vendor, product, revision)
+        return [
+            (part, told[0], number)
+            for part, told, number in zip(_PARTS, self, held, strict=True)
+            if told and number and number not in told
+        ]
+
+
+def told_identity(dictionary: od.ObjectDictionary) -> ToldIdentity:
+    """Return the identity in the sheet of a dictionary."""
+    information = dictionary.device_information
+    return ToldIdentity(
+        _numbers(dictionary, 1, information.vendor_number),
+        _numbers(dictionary, 2, information.product_number),
+        _numbers(dictionary, 3, information.revision_number),
+    )
+
+
+def _numbers(dictionary: od.ObjectDictionary, sub: int, informed: int | None) -> tuple[int, ...]:
+    numbers = (held_number(dictionary, Cia301.IDENTITY, sub), informed)
+    return tuple(dict.fromkeys(number & 0xFFFF_FFFF for number in numbers if number))

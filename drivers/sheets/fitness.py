@@ -18,8 +18,7 @@ from servobench.drivers.cia402.mode_ramps import RAMPS, SPEEDS
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode, run_words
 from servobench.drivers.sheets.capability import capability_of
-from servobench.drivers.sheets.dictionary import LoadedDictionary, held, held_by, held_number
-from servobench.drivers.sheets.identity import told_identity
+from servobench.drivers.sheets.dictionary import LoadedDictionary, held, held_by, held_number, told_identity
 from servobench.drivers.vendors.families import stamp_for
 from servobench.drivers.vendors.stamps import StampProfile
 

@@ -24,11 +24,10 @@ import pyarrow.parquet as pq
 
 from servobench.drivers.bounded_file import parse_json, read_text
 from servobench.drivers.errors import BadInput
-from servobench.drivers.written_file import writing
+from servobench.drivers.written_file import is_locked, sync_folder, write_synced, writing
 from servobench.hil.campaign.identity import Identity, require_program
 from servobench.hil.campaign.plan import CampaignPlan
 from servobench.hil.campaign.worker import FIGURES, Row
-from servobench.hil.machine.on_disk import is_locked, sync_folder, write_synced
 from servobench.hil.recording.append_file import AppendFile
 from servobench.hil.rows.run_files import SEAL_FILE
 from servobench.hil.rows.seal import ENDED, FIRST_CHAIN, Piece, digest_of, read_seal, sealed_line

@@ -15,8 +15,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
-from servobench.drivers.canopen.greatest import write_greatest
-from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.canopen.objects import RemoteObjects, write_greatest
 from servobench.drivers.cia402.mode_ramps import RAMPS, SPEEDS, VL_RAMPS
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from servobench.drivers.canopen.greatest import write_greatest
+from servobench.drivers.canopen.objects import write_greatest
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode
 from servobench.drivers.rotation import RAD_S_PER_RPM

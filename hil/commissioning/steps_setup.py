@@ -3,7 +3,7 @@
 import math
 from typing import Final
 
-from servobench.drivers.canopen.greatest import write_greatest
+from servobench.drivers.canopen.objects import write_greatest
 from servobench.drivers.canopen.pdo_budget import budget_of
 from servobench.drivers.cia402.drive_setup import write_optional
 from servobench.drivers.cia402.mode_control import ModeRefused

@@ -18,7 +18,7 @@ from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.scaling import ScaleOverride, Scaling, UnitNotTold
 from servobench.drivers.errors import TransferAborted
 from servobench.drivers.rotation import RAD_S_PER_RPM
-from servobench.drivers.sheets.identity import told_identity
+from servobench.drivers.sheets.dictionary import told_identity
 from servobench.hil.commissioning.drive_port import QUANTITY_OF_MODE
 from servobench.hil.commissioning.findings import StepFailed, StepOutcome
 from servobench.hil.commissioning.nameplate import (

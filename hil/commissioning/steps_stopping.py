@@ -3,7 +3,7 @@
 import math
 from typing import Final, NamedTuple
 
-from servobench.drivers.canopen.greatest import write_greatest
+from servobench.drivers.canopen.objects import write_greatest
 from servobench.drivers.cia402.drive_setup import write_optional
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode, QuickStopOption, State, state_of

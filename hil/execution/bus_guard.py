@@ -17,6 +17,7 @@ from functools import partial
 from typing import Final, NamedTuple
 
 from servobench.drivers.canopen import cob_ids
+from servobench.drivers.canopen.cob_ids import frame_name
 from servobench.drivers.canopen.frame_pump import Handler, one_after_another
 from servobench.drivers.canopen.network import CanopenNetwork
 from servobench.drivers.canopen.nmt import Emergency, parse_emergency
@@ -31,7 +32,6 @@ from servobench.hil.configuration.config_axis import DriveConfig
 from servobench.hil.execution.stream_watch import QUIET_SYNCS, DelaysKnown, SyncedStream, TimedStream
 from servobench.hil.loop.axis import Axis
 from servobench.hil.loop.syncs import REMEMBERED, SyncLog
-from servobench.hil.rows.frame_names import frame_name
 
 LOOK_EVERY: Final = Duration(100 * NS_PER_MS)
 """Far below a second, in which a bench can still be stopped in time; far above a cycle, which it must not

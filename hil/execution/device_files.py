@@ -11,9 +11,8 @@ from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.quirky_units import apply_quirks
 from servobench.drivers.cia402.scaling import ENCODER_COUNTS_MIN, FACTOR_OBJECTS, ScaleOverride
 from servobench.drivers.errors import BadInput
-from servobench.drivers.sheets.dictionary import held, load_dictionary
+from servobench.drivers.sheets.dictionary import held, load_dictionary, told_identity
 from servobench.drivers.sheets.eds.information import Commissioning
-from servobench.drivers.sheets.identity import told_identity
 from servobench.drivers.vendors.families import quirks_for
 from servobench.drivers.written_file import write_file
 from servobench.virtual_bus.device.eds_export import export_eds

@@ -16,9 +16,8 @@ from servobench.drivers.cia402.scaling import ScaleOverride
 from servobench.drivers.cia402.servo import ServoDrive
 from servobench.drivers.errors import BadInput, NoAnswer, PeerFault
 from servobench.drivers.sheets.capability import capability_of
-from servobench.drivers.sheets.dictionary import LoadedDictionary, load_dictionary
+from servobench.drivers.sheets.dictionary import LoadedDictionary, load_dictionary, told_identity
 from servobench.drivers.sheets.fitness import told_by_sheet
-from servobench.drivers.sheets.identity import told_identity
 from servobench.drivers.timebase import NS_PER_MS, duration_s
 from servobench.hil.configuration.config import BenchConfig, Host
 from servobench.hil.configuration.drive_file import DriveFile

@@ -13,8 +13,16 @@ from servobench.drivers.canopen.network import CanopenNetwork
 from servobench.drivers.errors import MISSING, BadInput, BusDown, NoAnswer, PeerFault
 from servobench.drivers.timebase import Duration, MonotonicClock
 from servobench.drivers.wire.adapters import HUB, SOCKETCAN, BusSpec, OpenBus, open_bus
-from servobench.drivers.wire.attached import CanLink, SerialPort, advice_on, can_links, serial_adapters
-from servobench.drivers.wire.bitrate import can_listen_only, detect_bitrate, open_listening
+from servobench.drivers.wire.attached import (
+    CanLink,
+    SerialPort,
+    advice_on,
+    can_links,
+    can_listen_only,
+    detect_bitrate,
+    open_listening,
+    serial_adapters,
+)
 from servobench.drivers.wire.link import BusLink, StampSource
 from servobench.virtual_bus.bus.hub import HubBus
 from servobench.virtual_bus.bus.hub_place import HubPlace, known_hubs

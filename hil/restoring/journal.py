@@ -26,7 +26,7 @@ from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.errors import MISSING, BadInput, TransferAborted
 from servobench.drivers.timebase import Clock
 from servobench.drivers.wire.link import BusLink
-from servobench.hil.machine.on_disk import sync_folder, write_synced
+from servobench.drivers.written_file import sync_folder, write_synced
 from servobench.hil.write_lists import RESTORE
 
 _BIT_RATES: Final = range(10_000, 1 << 32)

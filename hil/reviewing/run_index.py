@@ -12,7 +12,7 @@ from typing import Any, Final
 from servobench.drivers.bounded_file import parse_json, read_text, read_toml
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_S
-from servobench.hil.machine.on_disk import is_locked
+from servobench.drivers.written_file import is_locked
 from servobench.hil.rows.records_file import is_whole, read_metadata, refuse_later_format
 from servobench.hil.rows.run_files import (
     BENCH_FILE,

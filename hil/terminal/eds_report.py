@@ -12,7 +12,7 @@ from servobench.drivers.canopen.pdo import mapping_text
 from servobench.drivers.canopen.pdo_budget import LOAD_LIMIT_PERCENT, Budget
 from servobench.drivers.cia402.profile import BENCH_MODES, run_words
 from servobench.drivers.sheets.dictionary import LoadedDictionary
-from servobench.drivers.sheets.eds.repairs import Repair
+from servobench.drivers.sheets.eds.text import Repair
 from servobench.drivers.sheets.fitness import MODES_TOLD, FileIdentity, Fitness
 from servobench.hil.terminal.eds_sheet import Planned, run_key, unit_lines
 from servobench.hil.terminal.output import columns, titled

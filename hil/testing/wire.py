@@ -12,7 +12,7 @@ from pathlib import Path
 from struct import Struct
 from typing import NamedTuple
 
-from servobench.drivers.canopen.cob_ids import ERROR_CONTROL, SDO_ANSWER, SDO_REQUEST
+from servobench.drivers.canopen.cob_ids import ERROR_CONTROL, SDO_ANSWER, SDO_REQUEST, frame_name
 from servobench.drivers.canopen.pdo import PdoDirection, PdoPlan
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.observed import with_observed
@@ -28,7 +28,6 @@ from servobench.hil.configuration.config_checks import standard_plan
 from servobench.hil.execution.drives import data_sheets
 from servobench.hil.reviewing.trace.bus_log import BusLog
 from servobench.hil.reviewing.trace.run_trace import RecordedBus
-from servobench.hil.rows.frame_names import frame_name
 from servobench.hil.rows.run_files import FRAMES_LOG
 from servobench.hil.verdict.arguments import checked
 

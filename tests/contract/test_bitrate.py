@@ -11,7 +11,7 @@ import pytest
 from servobench.drivers.errors import BadInput, BusDown
 from servobench.drivers.timebase import NS_PER_MS, Duration, MonotonicClock
 from servobench.drivers.wire.adapters import BusSpec
-from servobench.drivers.wire.bitrate import detect_bitrate
+from servobench.drivers.wire.attached import detect_bitrate
 from servobench.drivers.wire.slcan import SlcanBus
 from servobench.drivers.wire.slcan_protocol import SlcanStatus
 from servobench.virtual_bus.bus.hub import HubBus

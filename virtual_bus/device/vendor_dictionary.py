@@ -19,8 +19,7 @@ import canopen.objectdictionary as od
 
 from servobench.drivers.canopen.data_types import BITS, REAL_BITS, SIGNED_BITS, DataType
 from servobench.drivers.canopen.objects301 import FIRST_OBJECT, MANUFACTURER, PDO_PARAMETERS, Cia301
-from servobench.drivers.sheets.dictionary import held_by
-from servobench.drivers.sheets.identity import told_identity
+from servobench.drivers.sheets.dictionary import held_by, told_identity
 from servobench.virtual_bus.device.encoding import encode
 from servobench.virtual_bus.device.object_dictionary import (
     Access,

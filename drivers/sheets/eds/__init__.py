@@ -7,5 +7,5 @@
     information.py information about the file, its device and its configuration
     model.py       objects -> the object dictionary of python canopen
 
-Every stage reports its repairs to a :class:`servobench.drivers.sheets.eds.repairs.RepairLog`.
+Every stage reports its repairs to a :class:`servobench.drivers.sheets.eds.text.RepairLog`.
 """

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 from servobench.drivers.canopen.objects301 import FIRST_OBJECT
 from servobench.drivers.sheets.eds.numbers import integer
-from servobench.drivers.sheets.eds.repairs import RepairLog
 from servobench.drivers.sheets.eds.sections import (
     COMMISSIONING,
     EdsSection,
@@ -12,6 +11,7 @@ from servobench.drivers.sheets.eds.sections import (
     object_of,
     section_name,
 )
+from servobench.drivers.sheets.eds.text import RepairLog
 
 BIT_RATES_KBIT_S = (10, 20, 50, 125, 250, 500, 800, 1000)
 """Each an entry BaudRate_... of [DeviceInfo] (CiA 306-1)."""

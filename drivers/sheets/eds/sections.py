@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from servobench.drivers.printable import printable
 from servobench.drivers.sheets.eds.numbers import Spelled, integer
-from servobench.drivers.sheets.eds.repairs import RepairLog
+from servobench.drivers.sheets.eds.text import RepairLog
 
 
 class Option(NamedTuple):

@@ -11,8 +11,8 @@ from typing import Any, Final
 from xml.parsers import expat
 
 from servobench.drivers.printable import printable
-from servobench.drivers.sheets.eds.repairs import RepairLog
 from servobench.drivers.sheets.eds.sections import COMMISSIONING, EdsSection, Option, Sections, section_name
+from servobench.drivers.sheets.eds.text import RepairLog
 
 ROOT: Final = "ISO15745ProfileContainer"
 _DEPTH_MAX: Final = 64

@@ -9,7 +9,7 @@ import pytest
 from servobench.drivers.errors import BadInput, BusDown
 from servobench.drivers.timebase import NS_PER_S, Duration, Instant
 from servobench.drivers.wire.adapters import BusSpec
-from servobench.drivers.wire.bitrate import (
+from servobench.drivers.wire.attached import (
     CANDIDATES_BIT_S,
     LISTEN_NS,
     Detection,

@@ -2,8 +2,7 @@
 
 import pytest
 
-from servobench.drivers.sheets.eds.repairs import Repair, RepairLog
-from servobench.drivers.sheets.eds.text import lines_of
+from servobench.drivers.sheets.eds.text import Repair, RepairLog, lines_of
 
 
 def read(data: bytes) -> tuple[list[str], tuple[Repair, ...]]:

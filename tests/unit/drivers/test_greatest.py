@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from servobench.drivers.canopen.greatest import Granted, write_greatest
-from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.canopen.objects import Granted, RemoteObjects, write_greatest
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
 
 SLOPE, RANGE, HIGH, LOW, STATE = 0x6087, 0x06090030, 0x06090031, 0x06090032, 0x08000022

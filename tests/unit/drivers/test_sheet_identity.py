@@ -2,7 +2,7 @@
 
 import pytest
 
-from servobench.drivers.sheets.identity import told_identity
+from servobench.drivers.sheets.dictionary import told_identity
 from tests.unit.drivers.eds_maker import U8, U32, sheet, sub
 
 

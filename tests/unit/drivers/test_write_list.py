@@ -17,8 +17,7 @@ from servobench.drivers.canopen.objects import RemoteObjects
 from servobench.drivers.canopen.sdo import PumpedSdoClient
 from servobench.drivers.canopen.write_list import ListedWrite, Product, UnlistedWrite, WriteList
 from servobench.drivers.cia402.drive_setup import read_identity
-from servobench.drivers.cia402.objects402 import Object
-from servobench.drivers.cia402.written_objects import CONTROL, SET_UP, listed
+from servobench.drivers.cia402.objects402 import CONTROL, SET_UP, Object, listed
 from servobench.drivers.errors import BadInput, PeerFault
 from servobench.drivers.wire.link import BusLink, StampSource
 from servobench.hil.configuration.drive_file import load_drive_file

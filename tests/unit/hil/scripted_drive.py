@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 from servobench.drivers.canopen.network import CanopenNetwork
-from servobench.drivers.cia402.written_objects import CONTROL
+from servobench.drivers.cia402.objects402 import CONTROL
 from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.hil.execution.world import World, WorldPlan, open_world

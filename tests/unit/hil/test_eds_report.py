@@ -14,7 +14,7 @@ from servobench.drivers.cia402.pdo_planner import PlanResult
 from servobench.drivers.cia402.profile import Mode
 from servobench.drivers.sheets.dictionary import LoadedDictionary
 from servobench.drivers.sheets.eds.information import Commissioning, DeviceInformation, FileInformation
-from servobench.drivers.sheets.eds.repairs import Repair
+from servobench.drivers.sheets.eds.text import Repair
 from servobench.drivers.sheets.fitness import FileIdentity, Fitness, Lack, assess
 from servobench.drivers.timebase import Duration
 from servobench.hil.commissioning.drive_port import QUANTITY_OF_MODE

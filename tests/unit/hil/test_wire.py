@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from servobench.drivers.canopen.cob_ids import frame_name
 from servobench.drivers.cia402.pdo_planner import all_modes_plan, mode_plan, plan_pdos
 from servobench.drivers.cia402.pdo_plans import PlanWish
 from servobench.drivers.cia402.profile import Mode
@@ -12,7 +13,6 @@ from servobench.drivers.sheets.capability import capability_of
 from servobench.drivers.sheets.dictionary import load_dictionary
 from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.hil.configuration.config_checks import standard_plan
-from servobench.hil.rows.frame_names import frame_name
 from servobench.hil.rows.records_file import RecordsWriter
 from servobench.hil.testing.wire import Controlword, SeenFrame, Wire, intended_frames, pdo_plans, read_wire
 from tests.recorded_frames import write_frames
