@@ -21,8 +21,8 @@ from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.configuration.config_files import BadInputs
 from servobench.hil.control.own_code import OwnCodeFailed, object_of
 from servobench.hil.execution.bench import run_bench
+from servobench.hil.machine.held_process import watch_for_replacements
 from servobench.hil.machine.refusals import explained
-from servobench.hil.machine.replaced import watch_for_replacements
 from servobench.hil.machine.stopping import Interrupted, StopRequest
 from servobench.hil.recording.memory_recorder import MemoryRecorder
 from servobench.hil.recording.recorder import recorder_of

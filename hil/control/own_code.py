@@ -36,9 +36,9 @@ from servobench.hil.machine.held_process import (
     held_process,
     in_words,
     leave_call,
+    remember_modules,
     told,
 )
-from servobench.hil.machine.replaced import remember_modules
 
 OBJECT_PATTERN: Final = r"^([A-Za-z_][\w.]*|.+\.py):[A-Za-z_]\w*$"
 """MODULE:NAME or FILE.py:NAME."""

@@ -21,8 +21,8 @@ from servobench.hil.configuration.quantities import odd_values
 from servobench.hil.execution import assembly, segments
 from servobench.hil.execution.assembly import AxisCode, axis_code, check_axes
 from servobench.hil.execution.conclusion import Conclusion, distrust, made_twice, timing_report
-from servobench.hil.execution.drive_session import DriveSession
-from servobench.hil.execution.drives import (
+from servobench.hil.execution.drive_session import (
+    DriveSession,
     connect,
     data_sheets,
     drive_settings,

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Final
 
 from servobench.drivers.errors import BenchError
-from servobench.hil.machine.held_process import OWN_FILES, told
+from servobench.hil.machine.held_process import OWN_FILES, replaced, told
 from servobench.hil.machine.parent_process import tell_parent
-from servobench.hil.machine.replaced import replaced
 
 _WITH_REMEDY: Final = {
     errno.EMFILE: "raise the limit of ulimit -n",

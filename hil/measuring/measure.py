@@ -16,8 +16,7 @@ from servobench.hil.configuration.config import Guard
 from servobench.hil.configuration.motor_file import LING2012
 from servobench.hil.execution.bench import RUNS_FOLDER
 from servobench.hil.execution.conclusion import distrust, made_twice, timing_report
-from servobench.hil.execution.drive_session import DriveSession
-from servobench.hil.execution.drives import connect
+from servobench.hil.execution.drive_session import DriveSession, connect
 from servobench.hil.execution.segments import sync_log
 from servobench.hil.execution.world import World, WorldPlan, open_world
 from servobench.hil.loop.axis import Axis
@@ -30,7 +29,7 @@ from servobench.hil.machine.stopping import StopRequest, stop_signals
 from servobench.hil.measuring import stages
 from servobench.hil.measuring.figures import ClockFigures, Measured, MeasuredDrive, clocks_by_node, network_of
 from servobench.hil.measuring.loss_model import Outcomes, losses_of
-from servobench.hil.measuring.probe import TimedDemandChange, acting
+from servobench.hil.measuring.stages import TimedDemandChange, acting
 from servobench.hil.measuring.subject import MeasureRequest, Subject, affordable, timing_of
 from servobench.hil.restoring.journal import Journal, JournaledNetwork, restore_command
 from servobench.hil.restoring.restore import head_of, restore

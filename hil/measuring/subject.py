@@ -39,7 +39,7 @@ from servobench.hil.loop.loop import LoopTiming
 from servobench.hil.loop.safety import SafetyGuard, TorqueLimits
 from servobench.hil.loop.scenario import Quantity, ReferenceProfile
 from servobench.hil.loop.syncs import SyncLog
-from servobench.hil.measuring.probe import ProbedDrive
+from servobench.hil.measuring.stages import ProbedDrive
 from servobench.hil.measuring.stamp_probe import StampFigures, find_stamp
 from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.virtual_bus.hosting.injection import Faults

@@ -16,16 +16,15 @@ from servobench.hil.loop.loop import planned_cycles
 from servobench.hil.recording.row_series import main_lines_of, position_lines_of
 from servobench.hil.recording.run_folder import read_summary
 from servobench.hil.recording.whole_figures import COUNTED_SHARE
-from servobench.hil.reviewing.envelope import Envelope, Points
-from servobench.hil.reviewing.error_limits import (
+from servobench.hil.reviewing.envelope import Envelope, Gaps, Points
+from servobench.hil.reviewing.histogram import TimeHistogram
+from servobench.hil.reviewing.review import Review
+from servobench.hil.reviewing.tracking_error import (
     limit_points,
     position_stretches,
     speed_limits,
     speed_stretches,
 )
-from servobench.hil.reviewing.gaps import Gaps
-from servobench.hil.reviewing.histogram import TimeHistogram
-from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.recording_plan import ReviewPlan
 from servobench.hil.rows.records import DIGESTED_TO_FORMAT_2, Rows
 from servobench.hil.rows.records_file import read_metadata, read_records, refuse_without_end

@@ -10,9 +10,8 @@ import numpy as np
 from servobench.drivers.cia402.profile import State
 from servobench.hil.loop.cycle_record import CAUSES
 from servobench.hil.reviewing.envelope import CodeLane, Envelope
-from servobench.hil.reviewing.error_limits import speed_limits
 from servobench.hil.reviewing.review import Review
-from servobench.hil.reviewing.tracking_error import PositionErrorMeter, SpeedErrorMeter
+from servobench.hil.reviewing.tracking_error import PositionErrorMeter, SpeedErrorMeter, speed_limits
 from servobench.hil.rows.injected_faults import INJECTED_TRACK, QUIET
 from servobench.hil.rows.recording_plan import ReviewPlan
 from servobench.hil.rows.row_states import (

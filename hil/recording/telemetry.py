@@ -46,8 +46,7 @@ from servobench.hil.recording.run_metadata import run_metadata
 from servobench.hil.recording.verdict_text import broken_texts, running_markdown, verdict_markdown
 from servobench.hil.recording.whole_figures import WholeFigures, in_view
 from servobench.hil.recording.wide_rows import cycle_columns, cycles_entity
-from servobench.hil.reviewing.envelope import BUCKETS, CodeLane, Envelope
-from servobench.hil.reviewing.gaps import Gaps
+from servobench.hil.reviewing.envelope import BUCKETS, CodeLane, Envelope, Gaps
 from servobench.hil.reviewing.histogram import TimeHistogram, round_width
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.injected_faults import INJECTED_TRACK, QUIET

@@ -10,14 +10,14 @@ from servobench.drivers.timebase import NS_PER_US
 from servobench.hil.recording.page_series import torque_scale
 from servobench.hil.recording.plot_scale import Range, about, around_zero
 from servobench.hil.reviewing.envelope import Envelope, Points
-from servobench.hil.reviewing.error_limits import (
+from servobench.hil.reviewing.review import Review
+from servobench.hil.reviewing.tracking_error import (
     Stretch,
     limit_points,
     position_stretches,
     speed_limits,
     speed_stretches,
 )
-from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.recording_plan import RecordingPlan
 
 _WORTH_SHOWING: Final = 4.0

@@ -13,8 +13,7 @@ from servobench.drivers.timebase import NS_PER_MS
 from servobench.hil.reviewing.trace.decoder import BusDecoder
 from servobench.hil.reviewing.trace.log_frame import CLASSICAL_BYTES_MAX, LogFrame
 from servobench.hil.reviewing.trace.node_objects import KnownNodes
-from servobench.hil.reviewing.trace.pdo_book import PdoLayout
-from servobench.hil.reviewing.trace.pdo_columns import columns_of
+from servobench.hil.reviewing.trace.pdo_book import PdoLayout, columns_of
 from servobench.hil.reviewing.trace.trace_entry import TraceEntry
 
 Instants = NDArray[np.int64]

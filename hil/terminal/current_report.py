@@ -1,9 +1,16 @@
-"""Output of ``hil design current``: the controller, its margins, and advice."""
+"""Output of ``hil design current``: the controller, its margins, and advice.
 
+An impossible design reported as bad input to the user who typed the command.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import typer
 
+from servobench.design.errors import DesignError
+from servobench.drivers.errors import BenchError
 from servobench.hil.terminal.output import print_figures
 
 if TYPE_CHECKING:
@@ -74,3 +81,18 @@ def _about_sampling(sampled: dict[str, Any]) -> list[str]:
             speeds = [w for w, rho in zip(coupled["speed_rad_s"], coupled[name], strict=True) if rho >= 1.0]
             lines.append(f"At {sampled['rate_hz']:g} Hz, {name}: unstable from {min(speeds):.4g} rad/s on.")
     return lines
+
+
+class DesignRefused(BenchError):
+    """The failed assumption or demand, its figures, and the remedy: in the design's own words."""
+
+    exit_status = 2
+
+
+@contextmanager
+def refused(about: str) -> Iterator[None]:
+    """Raise DesignRefused, which begins with ``about``, for a DesignError inside."""
+    try:
+        yield
+    except DesignError as error:
+        raise DesignRefused(f"{about}: {error}") from error

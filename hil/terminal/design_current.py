@@ -90,8 +90,7 @@ def current(asked: CurrentDesignOptions) -> None:
     from servobench.hil.configuration.design_files import load_weights
     from servobench.hil.studies.current.design import controller_text, design_current
     from servobench.hil.studies.current.figures import CurrentRequest
-    from servobench.hil.terminal.current_report import print_result
-    from servobench.hil.terminal.design_errors import refused
+    from servobench.hil.terminal.current_report import print_result, refused
 
     if asked.gamma is not None and asked.gamma_factor is not None:
         raise BadInput("--gamma-factor", "", asked.gamma_factor, "either --gamma or --gamma-factor")

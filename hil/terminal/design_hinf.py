@@ -27,8 +27,7 @@ def hinf(
     """
     from servobench.design.hinf.synthesis import gamma_min, synthesise, verified_norm
     from servobench.hil.configuration.design_files import load_plant
-    from servobench.hil.terminal.current_report import print_current
-    from servobench.hil.terminal.design_errors import refused
+    from servobench.hil.terminal.current_report import print_current, refused
 
     loaded = load_plant(plant)
     with refused(str(plant)):

@@ -53,8 +53,7 @@ def pid(asked: PidOptions) -> None:
     from servobench.drivers.written_file import write_file
     from servobench.hil.studies.speed.controller_text import controller_text
     from servobench.hil.studies.speed.pid import controller_of, current_loop_of, pid_figures
-    from servobench.hil.terminal.current_report import print_current
-    from servobench.hil.terminal.design_errors import refused
+    from servobench.hil.terminal.current_report import print_current, refused
 
     controller, loop_hz = _current_loop(asked.current_control, asked.current_loop)
     motor = rigid_motor(asked.motor)

@@ -55,7 +55,7 @@ def new(
     """
     from servobench.drivers.written_file import write_file
     from servobench.hil.studies.motor.sheet import SOURCE, Sheet, motor_text
-    from servobench.hil.terminal.design_errors import refused
+    from servobench.hil.terminal.current_report import refused
 
     if out.exists() and not force:
         raise BadInput("MOTOR.toml", "", str(out), "a file that is not there yet", "or --force")

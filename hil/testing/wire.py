@@ -25,7 +25,7 @@ from servobench.drivers.sheets.fitness import told_by_sheet
 from servobench.drivers.timebase import NS_PER_S, Instant
 from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.configuration.config_checks import standard_plan
-from servobench.hil.execution.drives import data_sheets
+from servobench.hil.execution.drive_session import data_sheets
 from servobench.hil.reviewing.trace.bus_log import BusLog
 from servobench.hil.reviewing.trace.run_trace import RecordedBus
 from servobench.hil.rows.run_files import FRAMES_LOG

@@ -26,15 +26,17 @@ from servobench.hil.reviewing.trace.capture_file import (
 from servobench.hil.reviewing.trace.frame_columns import Hold, LogWindow, held_against_nothing
 from servobench.hil.reviewing.trace.log_frame import LogFrame
 from servobench.hil.reviewing.trace.log_lines import (
+    HEAD_MAX,
     SUFFIXES,
     BrokenLog,
+    LineReader,
     frame_of_line,
     is_remark,
     kind_of,
+    lines_of_window,
     other_frames,
+    reader_of,
 )
-from servobench.hil.reviewing.trace.log_window import lines_of_window
-from servobench.hil.reviewing.trace.savvycan import HEAD_MAX, LineReader, reader_of
 
 STDIN: Final = Path("-")
 KINDS: Final = f"a log of candump or SavvyCAN, a pcap or pcapng, or one of {', '.join(SUFFIXES)}"

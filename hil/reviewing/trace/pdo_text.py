@@ -1,4 +1,13 @@
-"""Objects of PDOs in words and as JSON, by columns: as :class:`ObjectValue` words each of them."""
+"""Objects of PDOs in words and as JSON, by columns: as :class:`ObjectValue` words each of them.
+
+Numbers in words by columns, letter by letter as Python writes each of them.
+
+    micro_seconds(ns)   f"{ns / 1e9:.6f}"
+    general(values)     f"{value:.6g}"
+    shortest(values)    repr(value)
+
+What a column cannot decide, ties and exponents, Python writes itself.
+"""
 
 import json
 from collections.abc import Callable, Iterator
@@ -6,14 +15,101 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.timebase import NS_PER_S, NS_PER_US
 from servobench.hil.reviewing.trace.node_objects import NodeObjects
-from servobench.hil.reviewing.trace.number_text import Texts, decimals, general, joined, shortest, texts_of
 from servobench.hil.reviewing.trace.object_value import ObjectValue
-from servobench.hil.reviewing.trace.pdo_book import PdoLayout
-from servobench.hil.reviewing.trace.pdo_columns import ObjectColumn, columns_of
+from servobench.hil.reviewing.trace.pdo_book import ObjectColumn, PdoLayout, columns_of
+
+Texts = Any
+"""(n,) A StringArray of pyarrow, which has no types of its own."""
+_HEX: Final = np.frombuffer(b"0123456789abcdef", np.uint8)
+_DIGITS: Final = 6
+_TIE: Final = 1e-6
+"""So near to a tie the product of a value and a power of ten does not tell on which side it lies."""
+EXACT_NS: Final = 1 << 53
+"""Up to here an instant is a double as it is."""
+
+
+def texts_of(values: list[str]) -> Texts:
+    """Return strings as a column."""
+    return pa.array(values, pa.string())
+
+
+def decimals(values: NDArray[Any]) -> Texts:
+    """Return (n,) whole numbers."""
+    return pa.array(values).cast(pa.string())
+
+
+def micro_seconds(ns: NDArray[np.int64]) -> Texts:
+    """Return (n,) times, less than EXACT_NS, in seconds with six digits."""
+    us, rest = np.divmod(np.abs(ns), NS_PER_US)
+    us += rest > NS_PER_US // 2
+    seconds, part = np.divmod(us, NS_PER_S // NS_PER_US)
+    padded = pc.utf8_slice_codeunits(decimals(part + 1_000_000), 1)
+    told = pc.binary_join_element_wise(_signs(ns < 0), decimals(seconds), ".", padded, "")
+    return _mended(told, rest == NS_PER_US // 2, lambda place: f"{int(ns[place]) / 1e9:.6f}")
+
+
+def general(values: NDArray[np.float64]) -> Texts:
+    """Return (n,) values with six significant digits."""
+    size = np.abs(values)
+    with np.errstate(all="ignore"):
+        exponent = np.floor(np.log10(size))
+        plain = (exponent >= -4) & (exponent < _DIGITS)
+        exponent = np.where(plain, exponent, 0.0)
+        scaled = np.where(plain, size, 1.0) * 10.0 ** (_DIGITS - 1 - exponent)
+        digits = np.rint(scaled)
+        doubtful = ~plain | (np.abs(scaled - np.floor(scaled) - 0.5) < _TIE)
+    doubtful |= (digits < 10 ** (_DIGITS - 1)) | (digits >= 10**_DIGITS)
+    digits[doubtful] = 10 ** (_DIGITS - 1)
+    whole_digits, places = digits.astype(np.int64), (_DIGITS - 1 - exponent).astype(np.int64)
+    scale = 10**places
+    whole, part = np.divmod(whole_digits, scale)
+    padded = pc.utf8_slice_codeunits(decimals(part + scale), 1)
+    behind = pc.utf8_rtrim(pc.binary_join_element_wise(".", padded, ""), "0")
+    told = pc.binary_join_element_wise(
+        _signs(np.signbit(values)), decimals(whole), pc.utf8_rtrim(behind, "."), ""
+    )
+    return _mended(told, doubtful, lambda place: f"{values[place]:.6g}")
+
+
+def shortest(values: NDArray[np.float64]) -> Texts:
+    """Return (n,) values with as few digits as tell them apart."""
+    size = np.abs(values)
+    with np.errstate(all="ignore"):
+        plain = (size >= 1e-3) & (size < 1e9) & (values != np.rint(values))
+    return _mended(pa.array(values).cast(pa.string()), ~plain, lambda place: repr(float(values[place])))
+
+
+def hexadecimal(data: NDArray[np.uint8]) -> Texts:
+    """Return (n,) lower-case texts of ``data``: (n, m)."""
+    count, length = data.shape
+    letters = _HEX[np.stack((data >> 4, data & 15), 2)].tobytes()
+    begins = np.arange(count + 1, dtype=np.int32) * (2 * length)
+    return pa.Array.from_buffers(pa.string(), count, [None, pa.py_buffer(begins), pa.py_buffer(letters)])
+
+
+def joined(*parts: Any) -> Texts:
+    """Return the texts one behind the other; a string is the same in each."""
+    return pc.binary_join_element_wise(*parts, "")
+
+
+def _signs(negative: NDArray[np.bool_]) -> Texts:
+    return texts_of(["", "-"]).take(pa.array(negative.astype(np.int8)))
+
+
+def _mended(told: Texts, doubtful: NDArray[np.bool_], text: Callable[[int], str]) -> Texts:
+    places = np.flatnonzero(doubtful)
+    if not places.size:
+        return told
+    return pc.replace_with_mask(
+        told, pa.array(doubtful), texts_of([text(place) for place in places.tolist()])
+    )
+
 
 _FEW_VALUES: Final = 8
 """So many times as many frames as values, and each value is worded once."""

@@ -23,22 +23,20 @@ from servobench.hil.reviewing.trace.decoder import BusDecoder
 from servobench.hil.reviewing.trace.frame_columns import FrameColumns
 from servobench.hil.reviewing.trace.log_frame import CLASSICAL_BYTES_MAX
 from servobench.hil.reviewing.trace.node_objects import KnownNodes
-from servobench.hil.reviewing.trace.number_text import (
-    Texts,
-    decimals,
-    hexadecimal,
-    joined,
-    micro_seconds,
-    shortest,
-    texts_of,
-)
 from servobench.hil.reviewing.trace.pdo_book import PdoLayout
 from servobench.hil.reviewing.trace.pdo_text import (
     Clean,
+    Texts,
     between,
+    decimals,
+    hexadecimal,
     is_whole_numbers,
+    joined,
     json_value,
+    micro_seconds,
     pdo_text,
+    shortest,
+    texts_of,
     worded_values,
 )
 from servobench.hil.reviewing.trace.trace_entry import TraceEntry, TraceSelection

@@ -24,7 +24,7 @@ from servobench.hil.execution.assembly import (
     shortest_transit,
     sync_latency,
 )
-from servobench.hil.execution.drives import connect, data_sheets, drive_settings, stop_all
+from servobench.hil.execution.drive_session import connect, data_sheets, drive_settings, stop_all
 from servobench.hil.execution.recorded_bench import recording_plan, review_plan
 from servobench.hil.loop.loop import Actuation
 from servobench.hil.machine.stopping import Interrupted, StopRequest

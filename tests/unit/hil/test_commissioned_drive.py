@@ -13,7 +13,7 @@ from servobench.drivers.errors import BadInput, BenchError, PeerFault
 from servobench.hil.configuration.bench_file import load_bench
 from servobench.hil.configuration.drive_file import DriveFile, load_drive_file
 from servobench.hil.execution.assembly import loop_timing
-from servobench.hil.execution.drives import drive_settings, write_commissioned
+from servobench.hil.execution.drive_session import drive_settings, write_commissioned
 
 FILE = """
 [drive]

@@ -8,7 +8,7 @@ from servobench.drivers.cia402.drive_setup import Identity
 from servobench.drivers.cia402.scaling import ScaleOverride
 from servobench.hil.configuration.bench_file import load_bench
 from servobench.hil.execution.assembly import loop_timing
-from servobench.hil.execution.drives import drive_settings, identity_notes
+from servobench.hil.execution.drive_session import drive_settings, identity_notes
 from tests.unit.drivers.eds_maker import four_pdos, sheet
 
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "ling2012.toml"

@@ -16,7 +16,7 @@ from servobench.drivers.sheets.dictionary import held
 from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 from servobench.hil.configuration.bench_file import load_bench
 from servobench.hil.execution.assembly import loop_timing
-from servobench.hil.execution.drives import connect, data_sheets, drive_settings, stop_all
+from servobench.hil.execution.drive_session import connect, data_sheets, drive_settings, stop_all
 from servobench.hil.machine.stopping import Interrupted, StopRequest
 from tests.unit.drivers.eds_maker import four_pdos, sheet_text
 from tests.unit.hil.test_commissioned_drive import FILE, drive_file

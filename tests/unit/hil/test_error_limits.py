@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from servobench.drivers.timebase import NS_PER_MS, Duration
-from servobench.hil.reviewing.error_limits import limit_points, speed_stretches
-from servobench.hil.reviewing.tracking_error import SpeedErrorMeter
+from servobench.hil.reviewing.tracking_error import SpeedErrorMeter, limit_points, speed_stretches
 from servobench.hil.rows.recording_plan import AxisPlan
 from servobench.hil.rows.records import Rows
 from servobench.hil.verdict.limits import VerdictLimits

@@ -16,8 +16,16 @@ from servobench.hil.loop.cycle_record import COMMAND_FATES, NOTHING
 from servobench.hil.loop.samples import AT_REST, CommandFate
 from servobench.hil.measuring.figures import network_of
 from servobench.hil.measuring.loss_model import CAME, LOST, UNKNOWN
-from servobench.hil.measuring.probe import TimedDemandChange, acting
-from servobench.hil.measuring.stages import Stage, command_stages, host_stages, reading_stages, refined, ways
+from servobench.hil.measuring.stages import (
+    Stage,
+    TimedDemandChange,
+    acting,
+    command_stages,
+    host_stages,
+    reading_stages,
+    refined,
+    ways,
+)
 from servobench.hil.measuring.subject import Excitation, steps_of
 from servobench.hil.rows.records import ROW_DTYPE, Rows
 from tests.unit.hil.cycles import advance, torque_of

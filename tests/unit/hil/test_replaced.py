@@ -8,8 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from servobench.hil.machine.held_process import held_process
-from servobench.hil.machine.replaced import Modules
+from servobench.hil.machine.held_process import Modules, held_process
 
 
 @pytest.fixture(autouse=True)
@@ -59,7 +58,7 @@ def test_functions_and_modules_are_named_and_nothing_else(line: str, named: str)
 def test_a_process_that_is_no_command_s_remembers_nothing() -> None:
     """As pytest's: others have reasons to replace functions there."""
     code = (
-        "import colorsys; from servobench.hil.machine.replaced import remember_modules, replaced; "
+        "import colorsys; from servobench.hil.machine.held_process import remember_modules, replaced; "
         "remember_modules(); colorsys.rgb_to_yiq = None; print([replaced()])"
     )
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
