@@ -15,7 +15,7 @@ from servobench.hil.configuration.bench_file import bench_from
 from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.configuration.motor_file import LING2012
 from servobench.hil.execution.bench import run_bench
-from servobench.hil.recording.memory_recorder import MemoryRecorder
+from servobench.hil.recording.run_recorder import MemoryRecorder
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records import Rows
 from servobench.virtual_bus.drive.firmware import FirmwareParameters

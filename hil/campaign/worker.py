@@ -24,9 +24,8 @@ from servobench.hil.execution.bench import run_bench
 from servobench.hil.machine.held_process import watch_for_replacements
 from servobench.hil.machine.refusals import explained
 from servobench.hil.machine.stopping import Interrupted, StopRequest
-from servobench.hil.recording.memory_recorder import MemoryRecorder
 from servobench.hil.recording.recorder import recorder_of
-from servobench.hil.recording.run_recorder import RunRecorder
+from servobench.hil.recording.run_recorder import MemoryRecorder, RunRecorder
 from servobench.hil.reviewing.certificate_meter import CertificateState
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.verdict.summary import Summary

@@ -14,7 +14,7 @@ from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
 from servobench.drivers.wire.identifiers import EXTENDED_FLAG, REMOTE_FLAG
 from servobench.hil.execution.world import World
 from servobench.hil.recording.append_file import AppendFile
-from servobench.hil.rows.event_lines import event_json
+from servobench.hil.rows.events import event_json
 from servobench.hil.rows.recording_plan import SIMULATED_EPOCH
 from servobench.hil.rows.run_files import EVENTS_FILE, FRAMES_FILE
 from servobench.hil.rows.side_rows import FRAME_DTYPE, StateEvent, TextEvent, frame_row

@@ -43,9 +43,9 @@ from servobench.hil.machine.progress import Progress, no_progress
 from servobench.hil.machine.realtime import timing_conditions
 from servobench.hil.machine.stopping import StopRequest, stop_signals
 from servobench.hil.recording.fault_report import write_fault_report
+from servobench.hil.recording.logger_process import RecordingWatch
 from servobench.hil.recording.recorder import new_folder, recorder_of
 from servobench.hil.recording.run_recorder import RunRecorder
-from servobench.hil.recording.watch import RecordingWatch
 from servobench.hil.rows.recording_plan import RecordingPlan, ServedPorts
 from servobench.hil.verdict.summary import Summary
 from servobench.hil.write_lists import RUN

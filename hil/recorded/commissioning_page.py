@@ -41,7 +41,7 @@ from servobench.hil.reviewing.trace.decoder import decode
 from servobench.hil.reviewing.trace.node_objects import KnownNodes
 from servobench.hil.reviewing.trace.run_trace import RecordedBus
 from servobench.hil.reviewing.trace.trace_entry import TraceEntry
-from servobench.hil.rows.event_lines import read_events
+from servobench.hil.rows.events import read_events
 from servobench.hil.rows.run_files import (
     COMMISSIONED_FILE,
     COMMISSIONING_FIGURES,

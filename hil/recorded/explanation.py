@@ -20,8 +20,7 @@ from servobench.hil.reviewing.trace.decoder import decode
 from servobench.hil.reviewing.trace.frame_columns import LogWindow
 from servobench.hil.reviewing.trace.run_trace import RecordedBus
 from servobench.hil.reviewing.trace.trace_entry import TraceEntry
-from servobench.hil.rows.event_lines import read_events
-from servobench.hil.rows.injected_faults import ACTIVE, INJECTED_TRACK
+from servobench.hil.rows.events import ACTIVE, INJECTED_TRACK, read_events
 from servobench.hil.rows.records import Rows
 from servobench.hil.rows.records_file import read_some
 from servobench.hil.rows.run_files import EVENTS_FILE, RECORDS_FILE

@@ -13,7 +13,7 @@ from servobench.drivers.timebase import NS_PER_S
 from servobench.drivers.written_file import write_file
 from servobench.hil.recorded.judgement import Judged
 from servobench.hil.reviewing.html_page import html_page, html_table
-from servobench.hil.rows.event_lines import read_events
+from servobench.hil.rows.events import read_events
 from servobench.hil.rows.run_files import EVENTS_FILE
 from servobench.hil.verdict.summary_text import certificate_rows, limit_rows, summary_lines
 from servobench.hil.verdict.verdict import LimitResult, VerdictKind, verdict_title

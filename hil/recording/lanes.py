@@ -12,9 +12,9 @@ from servobench.hil.loop.cycle_record import CAUSES
 from servobench.hil.reviewing.envelope import CodeLane, Envelope
 from servobench.hil.reviewing.review import Review
 from servobench.hil.reviewing.tracking_error import PositionErrorMeter, SpeedErrorMeter, speed_limits
-from servobench.hil.rows.injected_faults import INJECTED_TRACK, QUIET
+from servobench.hil.rows.events import INJECTED_TRACK, QUIET
 from servobench.hil.rows.recording_plan import ReviewPlan
-from servobench.hil.rows.row_states import (
+from servobench.hil.rows.records import (
     HOST_IN_TIME,
     HOST_MISSED,
     LINK_DEGRADED,

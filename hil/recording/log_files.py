@@ -9,21 +9,18 @@ from numpy.typing import NDArray
 
 from servobench.drivers.timebase import Duration
 from servobench.hil.configuration.network_file import NETWORK_FILE, network_text
-from servobench.hil.recording.append_file import AppendFile
-from servobench.hil.recording.faults_file import FaultEntries
+from servobench.hil.recording.append_file import FRAMES_TAIL_FILE, TAIL_FILE, AppendFile, Tail
 from servobench.hil.recording.frame_files import FrameFiles
 from servobench.hil.recording.run_metadata import run_metadata
-from servobench.hil.recording.tail import FRAMES_TAIL_FILE, TAIL_FILE, Tail
 from servobench.hil.reviewing.network_meter import clocks_of
 from servobench.hil.reviewing.review import Review
-from servobench.hil.rows.event_lines import event_json
+from servobench.hil.rows.events import FaultEntries, RunZero, event_json
 from servobench.hil.rows.frame_order import FrameOrder
 from servobench.hil.rows.frames_file import BATCH_FRAMES
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.hil.rows.records_file import RecordsWriter
 from servobench.hil.rows.run_files import EVENTS_FILE, FRAMES_FILE, LOAD_FILE, RECORDS_FILE
-from servobench.hil.rows.run_zero import RunZero
 from servobench.hil.rows.side_rows import (
     FRAME_DTYPE,
     BeginEvent,

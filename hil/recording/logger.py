@@ -19,7 +19,6 @@ from importlib.abc import MetaPathFinder
 from pathlib import Path
 
 from servobench.drivers.timebase import NS_PER_S, MonotonicClock
-from servobench.hil.recording.faults_file import BLOCK_DTYPE, FaultEntries
 from servobench.hil.recording.keepers import open_keepers
 from servobench.hil.recording.log_files import LIVE_VIEW, FaultsKeeper, Keeper
 from servobench.hil.recording.logger_process import CONFIRM, FAILED, READY, STORED, LineReader
@@ -28,9 +27,9 @@ from servobench.hil.recording.run_folder import Reserve, write_summary
 from servobench.hil.recording.sealer import Sealer
 from servobench.hil.recording.whole_records import whole_records
 from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.events import BLOCK_DTYPE, FaultEntries, InjectedFaults, RunZero
 from servobench.hil.rows.frames_file import finish_frames
-from servobench.hil.rows.injected_faults import InjectedFaults
-from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.recording_plan import RecordingPlan, SetPointTeller
 from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.hil.rows.run_files import (
     BENCH_FILE,
@@ -42,8 +41,6 @@ from servobench.hil.rows.run_files import (
     SEAL_FILE,
     SUMMARY_FILE,
 )
-from servobench.hil.rows.run_zero import RunZero
-from servobench.hil.rows.set_points import SetPointTeller
 from servobench.hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, RunEvent, events_of
 from servobench.hil.verdict.plain_values import from_plain
 from servobench.hil.verdict.summary import Summary, summarise

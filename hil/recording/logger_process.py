@@ -1,4 +1,7 @@
-"""The process of the logger as the loop's process sees it: started, asked, watched, and told the outcome."""
+"""The process of the logger as the loop's process sees it: started, asked, watched, and told the outcome.
+
+Looks after the recording of a run while its loop runs: some twenty times a second, never in between.
+"""
 
 import json
 import os
@@ -10,14 +13,18 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
+from servobench.drivers.canopen.network import CanopenNetwork
 from servobench.drivers.errors import BenchError
-from servobench.drivers.timebase import NS_PER_S, Instant, MonotonicClock
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
+from servobench.hil.machine.progress import Progress
+from servobench.hil.recording.run_recorder import RunRecorder
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.run_files import LOGGER_LOG
 from servobench.hil.verdict.plain_values import from_plain
 from servobench.hil.verdict.summary import Summary
 from servobench.hil.verdict.verdict import RunOutcome
 from servobench.virtual_bus.child_python import python_command, python_environment
+from servobench.virtual_bus.timeline import SimulatedClock
 
 READY: Final = "ready"
 """The logger drains the rings."""
@@ -233,3 +240,46 @@ def salvage(plan: RecordingPlan, descriptors: Sequence[int], outcome: RunOutcome
     if not answer:
         raise RecordingFailed(f"{trouble}; {plan.folder} holds what was written: hil recover {plan.folder}")
     return from_plain(Summary, json.loads(answer))
+
+
+_POLL_NS = NS_PER_MS
+
+
+class RecordingWatch:
+    """Ends a run that is not recorded any more, or lets it go on if that was asked for."""
+
+    def __init__(
+        self, recorder: RunRecorder, goes_on: bool, progress: Progress, say: Callable[[str, str], None]
+    ) -> None:
+        """``goes_on``: a run goes on unrecorded. ``say``: takes a text for the reader and its level."""
+        self._recorder = recorder
+        self._goes_on = goes_on
+        self._progress = progress
+        self._say = say
+        self._phase = "running"
+
+    def confirm(self, network: CanopenNetwork) -> None:
+        """All so far is in the files, or nothing may move. Raises RecordingFailed.
+
+        The bus is served meanwhile, but simulated time stands still, paced or not: no run depends on
+        how fast its logger starts.
+        """
+        wall = MonotonicClock()
+        simulated = isinstance(network.clock, SimulatedClock)
+        serve = wall.sleep_until if simulated else network.pump
+
+        def wait() -> None:
+            serve(Instant(wall.now() + _POLL_NS))
+
+        self._recorder.confirm(wait)
+
+    def attend(self, elapsed_s: float) -> None:
+        """So much of the loop is done, s. Raises RecordingFailed, which is told before the drives stop."""
+        trouble = "" if self._phase != "running" else self._recorder.trouble()
+        if trouble:
+            self._phase = f"not recorded: {trouble}"
+        self._progress(self._phase, elapsed_s)
+        if trouble and not self._goes_on:
+            raise RecordingFailed(trouble)
+        if trouble:
+            self._say(self._phase, "CRITICAL")

@@ -13,10 +13,9 @@ from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
 from servobench.hil.loop.cycle_record import ROW
 from servobench.hil.recording.logger_process import LoggerProcess, RecordingFailed, salvage
-from servobench.hil.recording.memory_recorder import MemoryRecorder
 from servobench.hil.recording.ring import RingWriter, refuse
 from servobench.hil.recording.row_writer import RowWriter
-from servobench.hil.recording.run_recorder import RunRecorder
+from servobench.hil.recording.run_recorder import MemoryRecorder, RunRecorder
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.run_files import BENCH_FILE
 from servobench.hil.rows.side_rows import EVENT, FRAME, RunEvent, event_row

@@ -15,7 +15,7 @@ from servobench.hil.loop.cycle_record import ROW
 from servobench.hil.recording.telemetry import Telemetry
 from servobench.hil.reviewing.review import Review
 from servobench.hil.reviewing.trace.run_trace import RecordedBus
-from servobench.hil.rows.event_lines import read_events
+from servobench.hil.rows.events import read_events
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records_file import read_metadata, read_records
 from servobench.hil.rows.run_files import EVENTS_FILE, LOAD_FILE, RECORDS_FILE, RERUN_FILE

@@ -49,10 +49,9 @@ from servobench.hil.recording.wide_rows import cycle_columns, cycles_entity
 from servobench.hil.reviewing.envelope import BUCKETS, CodeLane, Envelope, Gaps
 from servobench.hil.reviewing.histogram import TimeHistogram, round_width
 from servobench.hil.reviewing.review import Review
-from servobench.hil.rows.injected_faults import INJECTED_TRACK, QUIET
+from servobench.hil.rows.events import INJECTED_TRACK, QUIET
 from servobench.hil.rows.recording_plan import RecordingPlan
-from servobench.hil.rows.records import Rows
-from servobench.hil.rows.row_states import DriveStates, HostStates, LabelChange, LinkStates
+from servobench.hil.rows.records import DriveStates, HostStates, LabelChange, LinkStates, Rows
 from servobench.hil.rows.run_files import RERUN_FILE
 from servobench.hil.rows.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent, drives_of
 from servobench.hil.verdict.summary import Summary, checks_so_far

@@ -7,15 +7,14 @@ from pathlib import Path
 from pyarrow import ArrowInvalid
 
 from servobench.drivers.timebase import Instant
-from servobench.hil.recording.faults_file import BLOCK_DTYPE
+from servobench.hil.recording.append_file import TAIL_FILE, read_tail
 from servobench.hil.recording.ring import RingReader
 from servobench.hil.recording.run_metadata import run_metadata
-from servobench.hil.recording.tail import TAIL_FILE, read_tail
+from servobench.hil.rows.events import BLOCK_DTYPE, RunZero
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.hil.rows.records_file import RecordsWriter, finish_records, read_metadata, read_records
 from servobench.hil.rows.run_files import FIRST_CYCLE, RECORDS_FILE
-from servobench.hil.rows.run_zero import RunZero
 from servobench.hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, drives_of, events_of
 
 

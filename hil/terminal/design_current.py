@@ -18,7 +18,7 @@ from servobench.hil.terminal.options import (
 from servobench.hil.terminal.output import put, say_written
 
 if TYPE_CHECKING:
-    from servobench.hil.studies.current.figures import OtherAxis
+    from servobench.hil.studies.current.design import OtherAxis
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,8 +88,7 @@ def current(asked: CurrentDesignOptions) -> None:
     from servobench.drivers.rotation import RAD_S_PER_RPM
     from servobench.drivers.written_file import write_file
     from servobench.hil.configuration.design_files import load_weights
-    from servobench.hil.studies.current.design import controller_text, design_current
-    from servobench.hil.studies.current.figures import CurrentRequest
+    from servobench.hil.studies.current.design import CurrentRequest, controller_text, design_current
     from servobench.hil.terminal.current_report import print_result, refused
 
     if asked.gamma is not None and asked.gamma_factor is not None:
@@ -131,7 +130,7 @@ def _other_axis(path: Path | None, axis: str) -> "OtherAxis | None":
     """Load the continuous controller in ``path``, made for the other axis."""
     from servobench.drivers.bounded_file import NamedBy
     from servobench.hil.configuration.controller_files import load_current_controller
-    from servobench.hil.studies.current.figures import OtherAxis
+    from servobench.hil.studies.current.design import OtherAxis
 
     if path is None:
         return None

@@ -47,8 +47,8 @@ def run(
     from servobench.hil.configuration.bench_file import Bench
     from servobench.hil.execution.bench import run_bench
     from servobench.hil.machine.progress import no_progress
-    from servobench.hil.recording.memory_recorder import MemoryRecorder
     from servobench.hil.recording.recorder import recorder_of
+    from servobench.hil.recording.run_recorder import MemoryRecorder
     from servobench.hil.rows.recording_plan import RecordingPlan
     from servobench.hil.testing.run import Run
     from servobench.hil.testing.signals import with_signals

@@ -19,7 +19,7 @@ from servobench.drivers.errors import BenchError
 from servobench.hil.configuration.bench_file import bench_from
 from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.execution.bench import run_bench
-from servobench.hil.recording.memory_recorder import MemoryRecorder
+from servobench.hil.recording.run_recorder import MemoryRecorder
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.side_rows import TextEvent
 from servobench.hil.testing.hosted import DriveProcess

@@ -12,7 +12,7 @@ from servobench.drivers.timebase import NS_PER_MS, NS_PER_S
 from servobench.hil.configuration.bench_file import Bench
 from servobench.hil.execution.bench import run_bench
 from servobench.hil.loop.pace import CALIBRATION_SYNCS
-from servobench.hil.recording.memory_recorder import MemoryRecorder
+from servobench.hil.recording.run_recorder import MemoryRecorder
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.run_files import EVENTS_FILE
 from servobench.hil.rows.side_rows import StateEvent, TextEvent

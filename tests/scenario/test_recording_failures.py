@@ -15,9 +15,9 @@ from servobench.hil.configuration.bench_file import load_bench
 from servobench.hil.execution import bench as bench_module
 from servobench.hil.execution.bench import run_bench
 from servobench.hil.execution.drive_session import DriveSession
+from servobench.hil.recording.append_file import TAIL_FILE, read_tail
 from servobench.hil.recording.logger_process import RecordingFailed
 from servobench.hil.recording.recorder import Recorder, start_recording
-from servobench.hil.recording.tail import TAIL_FILE, read_tail
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records import ROW_DTYPE
 from servobench.hil.verdict.summary import Summary

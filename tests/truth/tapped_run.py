@@ -12,7 +12,7 @@ from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.execution import bench
 from servobench.hil.execution.bench import run_bench
 from servobench.hil.execution.world import World, WorldPlan
-from servobench.hil.recording.memory_recorder import MemoryRecorder
+from servobench.hil.recording.run_recorder import MemoryRecorder
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records import Rows
 from servobench.hil.rows.side_rows import TextEvent

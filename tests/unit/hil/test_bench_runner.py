@@ -14,8 +14,8 @@ from servobench.drivers.errors import BadInput, BusDown, LimitExceeded
 from servobench.hil.configuration.bench_file import Bench
 from servobench.hil.configuration.motor_file import LING2012, load_motor
 from servobench.hil.machine.stopping import Interrupted, StopRequest
-from servobench.hil.recording.memory_recorder import MemoryRecorder
 from servobench.hil.recording.recorder import recorder_of
+from servobench.hil.recording.run_recorder import MemoryRecorder
 from servobench.hil.testing import bench_runs, campaign_runs
 from servobench.hil.testing.bench_runs import BenchRunner
 from servobench.hil.testing.campaign_runs import CampaignRunner
@@ -288,7 +288,7 @@ def test_a_folder_is_chosen_for_a_recording_that_names_none(
             self.plan = plan
             made.append(self)
 
-    monkeypatch.setattr("servobench.hil.recording.memory_recorder.MemoryRecorder", Noted)
+    monkeypatch.setattr("servobench.hil.recording.run_recorder.MemoryRecorder", Noted)
     call = runs.__call__
 
     def run_bench(config: Any, **asked: Any) -> Summary:

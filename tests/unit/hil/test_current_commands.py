@@ -21,7 +21,7 @@ from servobench.hil.configuration.design_files import load_weights
 from servobench.hil.configuration.motor_file import load_motor
 from servobench.hil.studies.current import design as studies
 from servobench.hil.studies.current import pictures
-from servobench.hil.studies.current.figures import CurrentRequest
+from servobench.hil.studies.current.design import CurrentRequest
 from tests.told import ROOT
 
 EXAMPLES = ROOT / "examples"

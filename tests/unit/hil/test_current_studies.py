@@ -13,9 +13,9 @@ from servobench.design.hinf.reduction import Method
 from servobench.design.statespace import StateSpace
 from servobench.drivers.errors import BadInput
 from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.studies.current import design
 from servobench.hil.studies.current import design as studies
-from servobench.hil.studies.current import figures
-from servobench.hil.studies.current.figures import CurrentRequest, OtherAxis, robust_figures, sampled_design
+from servobench.hil.studies.current.design import CurrentRequest, OtherAxis, robust_figures, sampled_design
 from tests.unit.hil.made_analyses import MARGINS
 
 MOTOR = LING2012.parameters
@@ -74,7 +74,7 @@ class Solvers:
             "spectral_radius": self._radius,
         }
         for name, answer in answers.items():
-            monkeypatch.setattr(figures, name, self._noting(name, answer))
+            monkeypatch.setattr(design, name, self._noting(name, answer))
 
     def _noting(self, name: str, answer: Any) -> Any:
         def asked(*given: Any) -> Any:
@@ -142,7 +142,7 @@ def test_the_crossovers_of_d_and_q_stand_in_their_order(solvers: Solvers) -> Non
 def test_the_lowest_rate_holds_margin_and_both_axes(
     solvers: Solvers, monkeypatch: pytest.MonkeyPatch, coupled: float | None, lowest: float | None
 ) -> None:
-    monkeypatch.setattr(figures, "lowest_coupled_rate_hz", lambda *_: coupled)
+    monkeypatch.setattr(design, "lowest_coupled_rate_hz", lambda *_: coupled)
     _, found = sampled_design(request(), 1.0, DESIGN, OTHER, 200.0)
     assert (found["lowest_rate"]["coupled_rate_hz"], found["lowest_rate"]["rate_hz"]) == (coupled, lowest)
     assert solvers.radii != []
@@ -179,7 +179,7 @@ def test_a_rate_that_is_too_low_for_the_rule_is_refused(
     def too_low(*_: Any) -> StateSpace:
         raise ValueError("more than twice the crossover")
 
-    monkeypatch.setattr(figures, "tustin", too_low)
+    monkeypatch.setattr(design, "tustin", too_low)
     with pytest.raises(BadInput) as caught:
         sampled_design(request(), 1.0, DESIGN, OTHER, 200.0)
     assert str(caught.value) == "--sample-rate-hz: found 16000.0, expected more than twice the crossover"
@@ -223,7 +223,7 @@ def test_a_continuous_controller_that_has_no_sampled_form_is_told_unstable(
             raise ValueError("too low")
         return controller
 
-    monkeypatch.setattr(figures, "tustin", tustin)
+    monkeypatch.setattr(design, "tustin", tustin)
     _, found = sampled_design(request(discrete=True), 1.0, DESIGN, OTHER, 200.0)
     assert found["continuous_sampled"] == {"spectral_radius": None}
     assert solvers.radii != []
@@ -240,13 +240,13 @@ def test_the_box_of_motors_is_told(monkeypatch: pytest.MonkeyPatch, stable: bool
         weighted=weighted,
     )
     asked: list[Any] = []
-    monkeypatch.setattr(figures, "axis_robustness", lambda *given: asked.append(given) or robust)  # type: ignore[func-returns-value]
+    monkeypatch.setattr(design, "axis_robustness", lambda *given: asked.append(given) or robust)  # type: ignore[func-returns-value]
     coupled = SimpleNamespace(certified=True, real_mu_bound=0.4, real_mu_rad_s=77.0)
-    monkeypatch.setattr(figures, "coupled_robustness", lambda *given: asked.append(given) or coupled)  # type: ignore[func-returns-value]
+    monkeypatch.setattr(design, "coupled_robustness", lambda *given: asked.append(given) or coupled)  # type: ignore[func-returns-value]
     worst = SimpleNamespace(
         rightmost_pole_per_s=-9.0, resistance_ohm=1.0, inductance_d_h=0.001, inductance_q_h=0.002
     )
-    monkeypatch.setattr(figures, "worst_motor", lambda *given: asked.append(given) or worst)  # type: ignore[func-returns-value]
+    monkeypatch.setattr(design, "worst_motor", lambda *given: asked.append(given) or worst)  # type: ignore[func-returns-value]
     assert robust_figures(MOTOR, "q", DESIGN, OTHER, 150.0) == {
         "stable": stable,
         "real_mu_peak": 0.8,

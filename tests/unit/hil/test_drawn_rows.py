@@ -13,8 +13,7 @@ from servobench.hil.loop.samples import CommandFate
 from servobench.hil.recording.observed_frames import ObservedFrames
 from servobench.hil.recording.row_series import first_offset_ns, lines_of, main_lines_of, marks_of
 from servobench.hil.rows.recording_plan import ObservedDrive, ObservedSignal
-from servobench.hil.rows.records import Rows
-from servobench.hil.rows.row_states import LabelChange, LinkStates
+from servobench.hil.rows.records import LabelChange, LinkStates, Rows
 from servobench.hil.rows.side_rows import FRAME_DTYPE, frame_row
 from tests.unit.hil.row_tools import plain_rows
 

@@ -10,16 +10,15 @@ from numpy.typing import NDArray
 
 from servobench.drivers.timebase import Duration, Instant
 from servobench.hil.configuration.network_file import load_network
-from servobench.hil.recording.faults_file import BLOCK_DTYPE, FaultEntries
+from servobench.hil.recording.append_file import FRAMES_TAIL_FILE, read_tail
 from servobench.hil.recording.log_files import (
     FaultsKeeper,
     FramesKeeper,
     NetworkKeeper,
 )
-from servobench.hil.recording.tail import FRAMES_TAIL_FILE, read_tail
 from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.events import BLOCK_DTYPE, FaultEntries, RunZero
 from servobench.hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
-from servobench.hil.rows.run_zero import RunZero
 from servobench.hil.rows.side_rows import (
     FRAME_DTYPE,
     BeginEvent,

@@ -8,8 +8,8 @@ import pytest
 from servobench.drivers.canopen.nmt import Emergency
 from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.hil.recording.fault_report import last_frames, write_fault_report
-from servobench.hil.recording.memory_recorder import KeptFrame, MemoryRecorder
-from servobench.hil.rows.injected_faults import InjectedFaults
+from servobench.hil.recording.run_recorder import KeptFrame, MemoryRecorder
+from servobench.hil.rows.events import InjectedFaults
 from servobench.hil.rows.side_rows import BeginEvent, StateEvent, TextEvent
 from servobench.virtual_bus.bus.judge import Direction
 from servobench.virtual_bus.faults.fault_log import AT_NODE, KIND_CODES, FaultEntry

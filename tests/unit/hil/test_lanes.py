@@ -20,7 +20,7 @@ from servobench.hil.recording.page_series import AXIS_COLORS, LIMIT_SERIES, SERI
 from servobench.hil.reviewing.envelope import CodeLane, Envelope
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
-from servobench.hil.rows.row_states import LabelChange
+from servobench.hil.rows.records import LabelChange
 from servobench.hil.verdict.limits import VerdictLimits
 from tests.colour_sight import apart, contrast
 

@@ -16,8 +16,8 @@ import pytest
 from servobench.drivers.errors import BadInput
 from servobench.drivers.record import replaced
 from servobench.drivers.timebase import Instant
-from servobench.hil.recording.memory_recorder import MemoryRecorder
 from servobench.hil.recording.recorder import ROWS_CAPACITY, Recorder, new_folder, start_recording
+from servobench.hil.recording.run_recorder import MemoryRecorder
 from servobench.hil.rows.records_file import read_records
 from servobench.hil.verdict.plain_values import from_plain
 from servobench.hil.verdict.summary import Summary

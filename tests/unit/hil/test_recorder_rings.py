@@ -12,9 +12,7 @@ import pytest
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
 from servobench.hil.recording import recorder as module
-from servobench.hil.recording.faults_file import BLOCK_DTYPE
 from servobench.hil.recording.logger_process import RecordingFailed
-from servobench.hil.recording.memory_recorder import MemoryRecorder
 from servobench.hil.recording.recorder import (
     EVENTS_CAPACITY,
     FAULTS_CAPACITY,
@@ -25,6 +23,8 @@ from servobench.hil.recording.recorder import (
     start_recording,
 )
 from servobench.hil.recording.ring import RingReader
+from servobench.hil.recording.run_recorder import MemoryRecorder
+from servobench.hil.rows.events import BLOCK_DTYPE
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records import ROW_DTYPE
 from servobench.hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, BeginEvent, TextEvent, events_of

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.hil.recording.append_file import TAIL_FILE, read_tail
 from servobench.hil.recording.keepers import open_keepers
 from servobench.hil.recording.log_files import (
     EventsKeeper,
@@ -20,12 +21,11 @@ from servobench.hil.recording.log_files import (
     RowBlocks,
 )
 from servobench.hil.recording.page_keepers import LiveKeeper, RerunKeeper
-from servobench.hil.recording.tail import TAIL_FILE, read_tail
 from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.events import RunZero
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.hil.rows.records_file import is_whole, read_metadata, read_records
-from servobench.hil.rows.run_zero import RunZero
 from servobench.hil.rows.side_rows import (
     FRAME_DTYPE,
     BeginEvent,

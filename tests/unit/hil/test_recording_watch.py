@@ -8,10 +8,9 @@ import pytest
 
 from servobench.drivers.canopen.network import CanopenNetwork
 from servobench.drivers.timebase import NS_PER_MS, Instant
-from servobench.hil.recording import watch as module
-from servobench.hil.recording.logger_process import RecordingFailed
+from servobench.hil.recording import logger_process as module
+from servobench.hil.recording.logger_process import RecordingFailed, RecordingWatch
 from servobench.hil.recording.run_recorder import RunRecorder
-from servobench.hil.recording.watch import RecordingWatch
 from servobench.virtual_bus.timeline import SimulatedClock, Timeline
 
 NOW: Final = Instant(5 * NS_PER_MS)

@@ -10,6 +10,7 @@ import pytest
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.hil.loop.cycle_record import COLUMNS, NAMES, NOTHING
+from servobench.hil.rows.events import RunZero
 from servobench.hil.rows.records import Rows
 from servobench.hil.rows.records_file import (
     RecordsWriter,
@@ -25,7 +26,6 @@ from servobench.hil.rows.records_file import (
     rows_of_table,
 )
 from servobench.hil.rows.run_files import FORMAT
-from servobench.hil.rows.run_zero import RunZero
 from servobench.hil.rows.side_rows import BeginEvent, TextEvent
 from tests.told import ROOT
 from tests.unit.hil.row_tools import rows_of

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.hil.configuration.network_file import load_network
 from servobench.hil.recording import rerun_anew
-from servobench.hil.recording.faults_file import BLOCK_DTYPE
+from servobench.hil.recording.append_file import TAIL_FILE
 from servobench.hil.recording.log_files import EventsKeeper, FramesKeeper, RecordsKeeper
 from servobench.hil.recording.recovery import recover
 from servobench.hil.recording.run_folder import Reserve, read_summary
 from servobench.hil.recording.sealer import Sealer
-from servobench.hil.recording.tail import TAIL_FILE
 from servobench.hil.recording.whole_records import Rings, first_cycle, whole_records
+from servobench.hil.rows.events import BLOCK_DTYPE
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.hil.rows.records_file import is_whole, read_metadata, read_records

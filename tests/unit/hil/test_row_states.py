@@ -5,7 +5,7 @@ import pytest
 
 from servobench.drivers.cia402.readings import NEVER_TOLD
 from servobench.hil.loop.cycle_record import FATE_MISSED
-from servobench.hil.rows.row_states import (
+from servobench.hil.rows.records import (
     LINK_DOWN_CYCLES,
     DriveStates,
     HostStates,

@@ -6,10 +6,9 @@ import numpy as np
 
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from servobench.hil.loop.cycle_record import NOTHING
-from servobench.hil.rows.injected_faults import WINDOW_GAP, InjectedFaults
-from servobench.hil.rows.recording_plan import PlannedSetPoint
+from servobench.hil.rows.events import WINDOW_GAP, InjectedFaults
+from servobench.hil.rows.recording_plan import PlannedSetPoint, SetPointTeller
 from servobench.hil.rows.records import ROW_DTYPE, Rows
-from servobench.hil.rows.set_points import SetPointTeller
 from servobench.hil.rows.side_rows import StateEvent, TextEvent
 from servobench.virtual_bus.faults.fault_log import KIND_CODES, FaultEntry
 from servobench.virtual_bus.faults.log_kind import NONE

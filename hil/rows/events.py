@@ -1,18 +1,74 @@
-"""Injected faults as events: each fault of a node, and for faults of frames and stalls of the host the window
-in which they struck."""
+"""The events of a run: its time zero, the faults injected into it, and the lines of events.jsonl and
+faults.jsonl, which has one for each entry of the run's fault log.
 
-from collections.abc import Sequence
-from typing import Final
+The log counts from the first cycle, as all files do, but for the entries of what a drive has from its
+power-on: those count from there, which in simulated time is the beginning. Entries wait until the first cycle
+is known.
+"""
 
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servobench.drivers.bounded_file import parse_json
+from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from servobench.drivers.wire.identifiers import EXTENDED_FLAG
-from servobench.hil.rows.side_rows import StateEvent, TextEvent
-from servobench.virtual_bus.faults.fault_log import HOST_KINDS, FaultEntry
+from servobench.hil.rows.run_files import EVENTS_FILE
+from servobench.hil.rows.side_rows import BeginEvent, RunEvent, StateEvent, TextEvent
+from servobench.virtual_bus.faults.fault_log import (
+    BLOCK,
+    BLOCK_BYTES,
+    HOST_KINDS,
+    FaultEntry,
+    entries_of,
+)
 from servobench.virtual_bus.faults.kinds.host_stall import HostStall
 from servobench.virtual_bus.faults.log_kind import NONE
 from servobench.virtual_bus.faults.node_fault import NodeEvent
 from servobench.virtual_bus.faults.node_faults import node_kind
 from servobench.virtual_bus.faults.register import LOG_KINDS
+
+
+def event_json(event: TextEvent | StateEvent | BeginEvent, zero: Instant) -> dict[str, object]:
+    """Return an entry of events.jsonl; ``zero``: the first cycle."""
+    at = {"at_ns": event.at - zero}
+    if isinstance(event, TextEvent):
+        return {**at, "level": event.level, "text": event.text}
+    if isinstance(event, BeginEvent):
+        return {**at, "begin": True}
+    return {**at, "track": event.track, "state": event.label}
+
+
+def read_events(path: Path) -> Iterator[dict[str, Any]]:
+    """Yield the entries of an events.jsonl; an invalid one, such as a truncated line, is skipped."""
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if path.is_file() else ():
+        with suppress(BadInput):
+            event = parse_json(line, EVENTS_FILE, "an event")
+            if isinstance(event, dict) and isinstance(event.get("at_ns"), int):
+                yield event
+
+
+class RunZero:
+    """The instant of the first cycle on the bench clock: origin of all times of a recording."""
+
+    def __init__(self, started_at: Instant) -> None:
+        """``started_at``: of the recording; used if no first cycle ever came."""
+        self.at = started_at
+        self.told = False
+
+    def look(self, events: Sequence[RunEvent]) -> bool:
+        """Return True if one of ``events`` is the first cycle."""
+        for event in events:
+            if isinstance(event, BeginEvent):
+                self.at, self.told = event.at, True
+                return True
+        return False
+
 
 WINDOW_GAP: Final = Duration(NS_PER_S // 2)
 """Strikes of one fault at most this far apart form one window: a loss of 1 % of the readings of one axis at 1
@@ -138,3 +194,34 @@ def _in_words(entry: FaultEntry) -> str:
 
 def _node_event(entry: FaultEntry) -> NodeEvent:
     return NodeEvent(entry.at_ns, entry.kind, entry.a, entry.b, entry.c)
+
+
+BLOCK_DTYPE = np.dtype([("length", "<u4"), ("block", "u1", (BLOCK_BYTES,))])
+assert BLOCK_DTYPE.itemsize == BLOCK.size
+_SINCE_POWER_ON = frozenset(code for code, kind in enumerate(LOG_KINDS) if kind.since_power_on)
+
+
+class FaultEntries:
+    """The entries of a run in run time, as its ring brings them."""
+
+    def __init__(self, started_at: Instant) -> None:
+        """``started_at``: when the drives were switched on."""
+        self.fresh: list[FaultEntry] = []
+        """Those of the last :meth:`take`."""
+        self._started_at = started_at
+        self._early: list[FaultEntry] = []
+
+    def take(self, blocks: NDArray[np.void], zero: RunZero, at_end: bool = False) -> list[FaultEntry]:
+        """Those in ``blocks``: (n,) of BLOCK_DTYPE. They wait for the first cycle, unless it never comes."""
+        for row in blocks:
+            self._early += entries_of(row["block"].tobytes()[: int(row["length"])])
+        self.fresh = []
+        if zero.told or at_end:
+            self.fresh = [self._in_run_time(entry, zero.at) for entry in self._early]
+            self._early.clear()
+        return self.fresh
+
+    def _in_run_time(self, entry: FaultEntry, zero: Instant) -> FaultEntry:
+        if entry.code not in _SINCE_POWER_ON:
+            return entry
+        return entry._replace(at_ns=entry.at_ns + self._started_at - zero)
