@@ -14,7 +14,7 @@ import pytest
 from servobench.drivers.canopen.error_codes import ErrorRegister
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Instant
 from servobench.drivers.wire.message import frame_of
-from servobench.virtual_bus.device.eds_export import export_eds
+from servobench.virtual_bus.device.communication_objects import export_eds
 from servobench.virtual_bus.frame import Frame
 from tests.scenario.test_canopen_master import IDENTITY, Wire, data_sheet, make_device
 from tests.unit.virtual_bus.device_bench import LEVEL, NODE, NOTE, RATIO, TARGET, TRIPLE

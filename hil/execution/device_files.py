@@ -15,7 +15,7 @@ from servobench.drivers.sheets.dictionary import held, load_dictionary, told_ide
 from servobench.drivers.sheets.eds.information import Commissioning
 from servobench.drivers.vendors.families import quirks_for
 from servobench.drivers.written_file import write_file
-from servobench.virtual_bus.device.eds_export import export_eds
+from servobench.virtual_bus.device.communication_objects import export_eds
 from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
 from servobench.virtual_bus.device.parameter_storage import FileStore
 from servobench.virtual_bus.device.vendor_dictionary import BASE_NODE_ID

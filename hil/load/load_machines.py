@@ -28,9 +28,8 @@ from servobench.virtual_bus.drive.load_object import (
     SIMULATED_DRIVE,
     LoadCourse,
 )
-from servobench.virtual_bus.instruments.dynamometer.hosting import TimelineLine
-from servobench.virtual_bus.instruments.dynamometer.instrument import Brake, Instrument, Shaft
-from servobench.virtual_bus.instruments.serial_line.device_line import LineFaults
+from servobench.virtual_bus.instruments.dynamometer import Brake, Instrument, Shaft, TimelineLine
+from servobench.virtual_bus.instruments.serial_line import LineFaults
 from servobench.virtual_bus.timeline import SimulatedClock
 
 if TYPE_CHECKING:

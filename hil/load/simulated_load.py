@@ -13,10 +13,8 @@ from servobench.drivers.errors import BadInput
 from servobench.hil.configuration.references import Signal, load_signal
 from servobench.hil.loop.scenario import Quantity
 from servobench.virtual_bus.drive.load_table import LoadTable
-from servobench.virtual_bus.instruments.dynamometer.hosting import InstrumentAtTerminal
-from servobench.virtual_bus.instruments.dynamometer.instrument import Brake, Instrument, Shaft
-from servobench.virtual_bus.instruments.serial_line.device_line import LineFaults
-from servobench.virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
+from servobench.virtual_bus.instruments.dynamometer import Brake, Instrument, InstrumentAtTerminal, Shaft
+from servobench.virtual_bus.instruments.serial_line import LineFaults, PseudoTerminal
 
 if TYPE_CHECKING:
     from servobench.virtual_bus.drive.servo import SimulatedServo

@@ -27,8 +27,8 @@ from servobench.virtual_bus.faults.fault_log import (
     FaultEntry,
     entries_of,
 )
+from servobench.virtual_bus.faults.fault_table import NONE
 from servobench.virtual_bus.faults.kinds.host_stall import HostStall
-from servobench.virtual_bus.faults.log_kind import NONE
 from servobench.virtual_bus.faults.node_fault import NodeEvent
 from servobench.virtual_bus.faults.node_faults import node_kind
 from servobench.virtual_bus.faults.register import LOG_KINDS

@@ -37,8 +37,8 @@ def adapter(
     from servobench.drivers.wire.adapters import shared_bus
     from servobench.hil.machine.realtime import realtime_process
     from servobench.hil.machine.stopping import stop_signals
-    from servobench.virtual_bus.instruments.serial_line.device_line import LineFaults
-    from servobench.virtual_bus.instruments.slcan.server import serve_adapter
+    from servobench.virtual_bus.instruments.serial_line import LineFaults
+    from servobench.virtual_bus.instruments.slcan_server import serve_adapter
 
     spec = shared_bus(bus)
     faults = LineFaults.parse(fault or [])

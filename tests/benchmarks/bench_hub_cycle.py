@@ -31,7 +31,7 @@ from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration
 from servobench.drivers.wire.adapters import open_bus, parse_bus_spec
 from servobench.drivers.wire.link import BusLink
 from servobench.hil.write_lists import RIG
-from servobench.virtual_bus.device.eds_export import export_eds
+from servobench.virtual_bus.device.communication_objects import export_eds
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from tests.benchmarks.frozen_hub import FrozenHubBus
 from tests.motors import LING

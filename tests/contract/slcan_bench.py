@@ -7,9 +7,8 @@ from pathlib import Path
 
 from servobench.drivers.timebase import MonotonicClock
 from servobench.drivers.wire.adapters import parse_bus_spec
-from servobench.virtual_bus.instruments.serial_line.device_line import LineFaults
-from servobench.virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
-from servobench.virtual_bus.instruments.slcan.server import AdapterServer, open_far_side
+from servobench.virtual_bus.instruments.serial_line import LineFaults, PseudoTerminal
+from servobench.virtual_bus.instruments.slcan_server import AdapterServer, open_far_side
 from tests.contract.bus_suite import PATIENCE_S, SILENCE_S, BusSuite, OpenBus, data_message, fetch
 
 

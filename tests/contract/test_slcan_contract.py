@@ -12,7 +12,7 @@ from servobench.drivers.wire.slcan import SlcanBus
 from servobench.drivers.wire.slcan_protocol import SlcanStatus
 from servobench.virtual_bus.bus.hub import HubBus
 from servobench.virtual_bus.frame import Frame
-from servobench.virtual_bus.instruments.serial_line.device_line import LineFaults
+from servobench.virtual_bus.instruments.serial_line import LineFaults
 from tests.contract.bus_suite import PATIENCE_S, SILENCE_S, OpenBus, content, data_message
 from tests.contract.slcan_bench import RunningAdapter, SlcanSuite
 from tests.ports import fetched

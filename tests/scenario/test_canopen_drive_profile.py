@@ -13,7 +13,7 @@ import pytest
 from canopen.profiles.p402 import OperationMode
 
 from servobench.drivers.cia402.objects402 import Object
-from servobench.virtual_bus.device.eds_export import export_eds
+from servobench.virtual_bus.device.communication_objects import export_eds
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from tests.contract.conformance.live_device import live_servo
 

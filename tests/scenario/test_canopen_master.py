@@ -21,8 +21,8 @@ from servobench.drivers.canopen.nmt_states import NmtState
 from servobench.drivers.timebase import NS_PER_MS, Instant, MonotonicClock
 from servobench.drivers.wire.message import frame_of
 from servobench.virtual_bus.device.canopen_device import CanopenDevice
+from servobench.virtual_bus.device.communication_objects import export_eds
 from servobench.virtual_bus.device.device_options import DeviceIdentity
-from servobench.virtual_bus.device.eds_export import export_eds
 from servobench.virtual_bus.frame import Frame
 from servobench.virtual_bus.hosting.devices import serve
 from tests.unit.virtual_bus.device_bench import (

@@ -6,7 +6,7 @@ import pytest
 
 from servobench.drivers.errors import BadInput
 from servobench.hil.testing.bench_runs import BenchRunner
-from servobench.virtual_bus.device.eds_export import export_eds
+from servobench.virtual_bus.device.communication_objects import export_eds
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from tests.motors import LING
 from tests.scenario.processes import EXAMPLES

@@ -11,9 +11,8 @@ from pathlib import Path
 import pytest
 
 from servobench.drivers.timebase import MonotonicClock
-from servobench.virtual_bus.instruments.dynamometer.hosting import InstrumentAtTerminal
-from servobench.virtual_bus.instruments.dynamometer.instrument import Brake, Instrument, Shaft
-from servobench.virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
+from servobench.virtual_bus.instruments.dynamometer import Brake, Instrument, InstrumentAtTerminal, Shaft
+from servobench.virtual_bus.instruments.serial_line import PseudoTerminal
 from tests.scenario.processes import (
     EXAMPLES,
     START_LIMIT_S,

@@ -33,7 +33,7 @@ from servobench.hil.testing.drive_rig import drive_rig
 from servobench.hil.testing.hosted import DriveHost, DriveWish
 from servobench.hil.testing.one_run import run
 from servobench.hil.write_lists import FAULT, RESTORE, STOP, writes_of
-from servobench.virtual_bus.device.eds_export import export_eds
+from servobench.virtual_bus.device.communication_objects import export_eds
 from servobench.virtual_bus.drive.load_object import LOAD_MACHINE, SIMULATED_DRIVE
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from tests.motors import LING

@@ -11,7 +11,7 @@ from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
 from servobench.hil.testing.wire import SeenFrame
 from servobench.virtual_bus.bus.judge import Direction
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
-from servobench.virtual_bus.faults.seen_mappings import SeenMappings
+from servobench.virtual_bus.faults.mapped_objects import SeenMappings
 from servobench.virtual_bus.frame import Frame
 from tests.swarm.ran import Ran
 from tests.swarm.witness import FAR_TORQUE, OTHER_MODE, OTHER_TORQUE, TARGET_IGNORED

@@ -13,8 +13,8 @@ from servobench.virtual_bus.core.native import Fates
 from servobench.virtual_bus.core.native import Queue as Queue
 from servobench.virtual_bus.core.native import Route as Route
 from servobench.virtual_bus.faults.fault_log import AT_NODE, KIND_CODES, FaultLog
+from servobench.virtual_bus.faults.fault_table import NONE, UNDAMAGED
 from servobench.virtual_bus.faults.frame_fault import node_of
-from servobench.virtual_bus.faults.log_kind import NONE, UNDAMAGED
 from servobench.virtual_bus.faults.register import LOG_KINDS
 from servobench.virtual_bus.frame import Frame
 

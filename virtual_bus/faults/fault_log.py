@@ -39,7 +39,7 @@ from servobench.drivers.errors import BadInput
 from servobench.drivers.wire.identifiers import EXTENDED_FLAG, EXTENDED_ID_MAX, STANDARD_ID_MAX
 from servobench.virtual_bus.bus.judge import Direction
 from servobench.virtual_bus.core import native
-from servobench.virtual_bus.faults.log_kind import NONE, LogNumber
+from servobench.virtual_bus.faults.fault_table import NONE, LogNumber
 from servobench.virtual_bus.faults.register import LOG_KINDS
 
 FAULTS_FILE = "faults.jsonl"

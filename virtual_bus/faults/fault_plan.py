@@ -62,8 +62,7 @@ from servobench.virtual_bus.faults.fault_table import A_NUMBER, A_WHOLE_NUMBER, 
 from servobench.virtual_bus.faults.frame_fault import FrameFault, LinkFault, Side
 from servobench.virtual_bus.faults.kinds.host_stall import HostStall
 from servobench.virtual_bus.faults.kinds.signal import SignalFault
-from servobench.virtual_bus.faults.node_fault import NodeFault
-from servobench.virtual_bus.faults.outage import AdapterOutage
+from servobench.virtual_bus.faults.node_fault import AdapterOutage, NodeFault
 from servobench.virtual_bus.faults.register import TABLES
 
 _EXPECTED = {

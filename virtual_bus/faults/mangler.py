@@ -15,8 +15,8 @@ from servobench.virtual_bus.faults.fates import FateSource, Route
 from servobench.virtual_bus.faults.fault_log import AT_NODE, KIND_CODES, FaultEntry, FaultLog
 from servobench.virtual_bus.faults.fault_streams import UniformStream
 from servobench.virtual_bus.faults.kinds.signal import BITS_AT, SignalFault
+from servobench.virtual_bus.faults.mapped_objects import SeenMappings, SeenObject
 from servobench.virtual_bus.faults.register import LOG_KINDS
-from servobench.virtual_bus.faults.seen_mappings import SeenMappings, SeenObject
 from servobench.virtual_bus.frame import Frame
 
 _NOWHERE: Final = KIND_CODES["signal_nowhere"]

@@ -2,6 +2,8 @@
 
 They act where the drive is simulated, those of the host in simulated time. Times count from the plan's time
 zero, except for faults from the drive's power-on (a slow drive, a refused mapping).
+
+Base of outages of the host's own CAN adapter, and of its kernel.
 """
 
 import math
@@ -15,6 +17,7 @@ from servobench.drivers.errors import MISSING
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
 from servobench.virtual_bus.faults.fault_table import (
     FaultTable,
+    Lasting,
     NodeIds,
     Number,
     Seconds,
@@ -209,3 +212,20 @@ class Occasion(TimeWindow):
 
 class NodeOccasion(Occasion, NodeFault):
     """A fault of a node that strikes at certain times."""
+
+
+class AdapterOutage(Occasion):
+    """For a while the host's adapter takes no frames, or gives none."""
+
+    code: ClassVar[int | None] = None
+    """Error code for a sender, from errno; None: it takes frames."""
+    hears: ClassVar[bool] = True
+    """True if it continues to receive."""
+    begins: ClassVar[str] = ""
+    """Message at the begin; empty: none."""
+    ends: ClassVar[str] = ""
+    """The same when it ends; ``{unheard}``: how many frames came meanwhile."""
+    duration_s: Lasting
+
+    def numbers(self, draw: Draw) -> tuple[int, ...]:  # noqa: ARG002
+        return (ns(self.duration_s),)

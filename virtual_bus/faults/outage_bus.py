@@ -21,9 +21,8 @@ from servobench.virtual_bus.faults.fault_streams import uniform_stream
 from servobench.virtual_bus.faults.kinds.full_queue import FullQueue
 from servobench.virtual_bus.faults.kinds.link_down import LinkDown
 from servobench.virtual_bus.faults.kinds.receive_overflow import ReceiveOverflow
-from servobench.virtual_bus.faults.node_fault import NodeEvent
+from servobench.virtual_bus.faults.node_fault import AdapterOutage, NodeEvent
 from servobench.virtual_bus.faults.node_faults import Events
-from servobench.virtual_bus.faults.outage import AdapterOutage
 from servobench.virtual_bus.faults.replay import RecordedFaults
 
 KINDS: dict[str, type[AdapterOutage]] = {kind.kind: kind for kind in (FullQueue, LinkDown, ReceiveOverflow)}

@@ -3,7 +3,7 @@ here."""
 
 from typing import Final
 
-from servobench.virtual_bus.faults.fault_table import FaultTable
+from servobench.virtual_bus.faults.fault_table import FaultTable, LogKind
 from servobench.virtual_bus.faults.kinds.blackout import Blackout
 from servobench.virtual_bus.faults.kinds.burst import Burst
 from servobench.virtual_bus.faults.kinds.bus_off import BusOff
@@ -31,7 +31,6 @@ from servobench.virtual_bus.faults.kinds.signal import SignalFault
 from servobench.virtual_bus.faults.kinds.silence import Silence
 from servobench.virtual_bus.faults.kinds.slow_drive import SlowDrive
 from servobench.virtual_bus.faults.kinds.supply_sag import SupplySag
-from servobench.virtual_bus.faults.log_kind import LogKind
 
 _ALL: Final[tuple[type[FaultTable], ...]] = (
     Loss,

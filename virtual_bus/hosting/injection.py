@@ -13,9 +13,8 @@ from functools import partial
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import Duration, Instant
 from servobench.virtual_bus.device.canopen_device import CanopenDevice
-from servobench.virtual_bus.faults.disturber import Disturber, disturber
 from servobench.virtual_bus.faults.fates import FateSource
-from servobench.virtual_bus.faults.fault_injector import FaultInjector
+from servobench.virtual_bus.faults.fault_injector import Disturber, FaultInjector, disturber
 from servobench.virtual_bus.faults.fault_log import KIND_CODES, FaultLog
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
 from servobench.virtual_bus.faults.fault_streams import uniform_stream

@@ -23,7 +23,7 @@ from servobench.hil.load.load_machines import (
 )
 from servobench.hil.load.simulated_load import SimulatedLoadMachine, load_table, load_tables
 from servobench.hil.recording.run_recorder import RunRecorder
-from servobench.virtual_bus.instruments.serial_line.device_line import LineFaults
+from servobench.virtual_bus.instruments.serial_line import LineFaults
 from tests.motors import LING
 from tests.unit.hil.test_shaft_loads import MS, STEP, ZERO, Dictionary, Instrument, network, signal_file
 from tests.unit.hil.test_signal_file import written

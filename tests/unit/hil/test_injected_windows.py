@@ -13,7 +13,7 @@ from servobench.hil.rows.events import InjectedFaults
 from servobench.hil.rows.side_rows import BeginEvent, StateEvent, TextEvent
 from servobench.virtual_bus.bus.judge import Direction
 from servobench.virtual_bus.faults.fault_log import AT_NODE, KIND_CODES, FaultEntry
-from servobench.virtual_bus.faults.log_kind import NONE
+from servobench.virtual_bus.faults.fault_table import NONE
 from tests.recorded_frames import write_frames
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import rows_of

@@ -22,8 +22,8 @@ from servobench.hil.reviewing.trace.log_frame import LogFrame
 from servobench.hil.terminal import init as init_command
 from servobench.hil.terminal import report
 from servobench.hil.write_lists import STOP
-from servobench.virtual_bus.instruments.serial_line.device_line import LineFaults
-from servobench.virtual_bus.instruments.slcan import server
+from servobench.virtual_bus.instruments import slcan_server
+from servobench.virtual_bus.instruments.serial_line import LineFaults
 from tests.told import ROOT
 
 BENCH = ROOT / "examples" / "ling2012.toml"
@@ -106,7 +106,7 @@ def served(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         assert clock.now() <= clock.now()
 
     monkeypatch.setattr(realtime, "realtime_process", process)
-    monkeypatch.setattr(server, "serve_adapter", serve)
+    monkeypatch.setattr(slcan_server, "serve_adapter", serve)
     return asked
 
 

@@ -11,7 +11,7 @@ from servobench.hil.rows.recording_plan import PlannedSetPoint, SetPointTeller
 from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.hil.rows.side_rows import StateEvent, TextEvent
 from servobench.virtual_bus.faults.fault_log import KIND_CODES, FaultEntry
-from servobench.virtual_bus.faults.log_kind import NONE
+from servobench.virtual_bus.faults.fault_table import NONE
 
 ZERO = Instant(7 * NS_PER_S)
 PLANNED = (

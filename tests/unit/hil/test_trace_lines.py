@@ -19,7 +19,7 @@ from servobench.hil.reviewing.trace.trace_entry import TraceEntry, TraceSelectio
 from servobench.hil.reviewing.trace.trace_lines import TraceLines
 from servobench.hil.terminal.trace import line_of
 from servobench.hil.testing.bench_runs import BenchRunner
-from servobench.virtual_bus.device.eds_export import export_eds
+from servobench.virtual_bus.device.communication_objects import export_eds
 from tests.recorded_frames import write_frames
 from tests.scenario.processes import EXAMPLES
 from tests.scenario.test_canopen_master import make_device

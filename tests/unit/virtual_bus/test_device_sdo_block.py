@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from servobench.virtual_bus.device.sdo_abort import AbortCode
-from servobench.virtual_bus.device.sdo_transfer import block_crc
+from servobench.virtual_bus.device.sdo_server import block_crc
 from tests.unit.virtual_bus.device_bench import LEVEL, NODE, NOTE, Bench
 
 EXAMPLES = settings(derandomize=True, deadline=None, max_examples=40)

@@ -9,7 +9,7 @@ from servobench.drivers.timebase import Instant
 from servobench.virtual_bus.bus.bit_length import frame_bits
 from servobench.virtual_bus.bus.port import Listener
 from servobench.virtual_bus.bus.segment import CanSegment
-from servobench.virtual_bus.faults.disturber import Disturber, disturber
+from servobench.virtual_bus.faults.fault_injector import Disturber, disturber
 from servobench.virtual_bus.faults.fault_log import FaultLog
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
 from servobench.virtual_bus.faults.kinds.corruption import Corruption

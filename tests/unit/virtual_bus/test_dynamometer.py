@@ -9,15 +9,15 @@ from servobench.hil.configuration.motor_file import LING2012
 from servobench.virtual_bus.bus.segment import CanSegment
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from servobench.virtual_bus.hosting.devices import AttachedDevice
-from servobench.virtual_bus.instruments.dynamometer.hosting import TimelineLine
-from servobench.virtual_bus.instruments.dynamometer.instrument import (
+from servobench.virtual_bus.instruments.dynamometer import (
     RESPONSE_S,
     STEP_NS,
     Brake,
     Instrument,
     Shaft,
+    TimelineLine,
 )
-from servobench.virtual_bus.instruments.serial_line.device_line import LineFaults
+from servobench.virtual_bus.instruments.serial_line import LineFaults
 from servobench.virtual_bus.timeline import SimulatedClock, Timeline
 
 RPM = 3.141592653589793 / 30.0

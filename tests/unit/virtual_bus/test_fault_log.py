@@ -24,11 +24,11 @@ from servobench.virtual_bus.faults.fault_log import (
     read_line,
 )
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.fault_table import NONE
 from servobench.virtual_bus.faults.frame_fault import FrameFault
 from servobench.virtual_bus.faults.kinds.blackout import Blackout
 from servobench.virtual_bus.faults.kinds.periodic_loss import PeriodicLoss
 from servobench.virtual_bus.faults.kinds.slow_drive import SlowDrive
-from servobench.virtual_bus.faults.log_kind import NONE
 from servobench.virtual_bus.faults.node_faults import DrawnNode, ReplayedNode
 from servobench.virtual_bus.faults.replay import RecordedFaults, ReplayedFates, read_recorded
 from servobench.virtual_bus.frame import Frame

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from servobench.drivers.canopen.data_types import BITS, SIGNED_BITS, DataType
-from servobench.virtual_bus.device.eds_export import export_eds
+from servobench.virtual_bus.device.communication_objects import export_eds
 from servobench.virtual_bus.device.encoding import decode, encode
 from servobench.virtual_bus.device.object_dictionary import Access, ObjectDictionary
 from servobench.virtual_bus.device.sdo_abort import AbortCode, SdoAbort

@@ -8,13 +8,13 @@ import pytest
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
 from servobench.drivers.wire.serial_line import HELD_BYTES_MAX, LineFull, LineGone, SerialLine
-from servobench.virtual_bus.instruments.serial_line.device_line import (
+from servobench.virtual_bus.instruments.serial_line import (
     OUTPUT_BYTES_MAX,
     DeviceLine,
     LineFaults,
     LineSpoiler,
+    PseudoTerminal,
 )
-from servobench.virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
 
 
 def test_faults_are_read_and_checked() -> None:

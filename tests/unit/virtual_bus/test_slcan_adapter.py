@@ -5,7 +5,7 @@ import pytest
 from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.drivers.wire.slcan_protocol import BITRATE_CODES, SlcanStatus
 from servobench.virtual_bus.frame import Frame
-from servobench.virtual_bus.instruments.slcan.adapter import POLLED_FRAMES_MAX, AcceptanceFilter, SlcanAdapter
+from servobench.virtual_bus.instruments.slcan_adapter import POLLED_FRAMES_MAX, AcceptanceFilter, SlcanAdapter
 
 CLOSED_ONLY = (b"S6", b"s031C", b"X1", b"W1", b"M00000000", b"mFFFFFFFF", b"Z1")
 OPEN_ONLY = (b"C", b"F", b"t1000", b"T000001000", b"r1000", b"R000001000")

@@ -14,9 +14,8 @@ from servobench.drivers.timebase import MonotonicClock
 from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.drivers.wire.slcan_protocol import SlcanStatus
 from servobench.virtual_bus.frame import Frame
-from servobench.virtual_bus.instruments.serial_line.device_line import LineFaults
-from servobench.virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
-from servobench.virtual_bus.instruments.slcan.server import (
+from servobench.virtual_bus.instruments.serial_line import LineFaults, PseudoTerminal
+from servobench.virtual_bus.instruments.slcan_server import (
     AdapterServer,
     BusCan,
     open_far_side,

@@ -5,10 +5,8 @@ from pydantic import model_validator
 from servobench.drivers.errors import MISSING
 from servobench.drivers.timebase import NEVER, Duration
 from servobench.virtual_bus.faults.fault_streams import UniformStream
-from servobench.virtual_bus.faults.fault_table import Count, Lasting, ns, require
-from servobench.virtual_bus.faults.frame_fault import FrameFault
-from servobench.virtual_bus.faults.log_kind import LogKind
-from servobench.virtual_bus.faults.strikes import FirstStrikes, Strike
+from servobench.virtual_bus.faults.fault_table import Count, Lasting, LogKind, ns, require
+from servobench.virtual_bus.faults.frame_fault import FirstStrikes, FrameFault, Strike
 
 
 class Blackout(FrameFault):

@@ -1,10 +1,8 @@
 """``[[burst]]``: losses that come together."""
 
 from servobench.virtual_bus.faults.fault_streams import UniformStream
-from servobench.virtual_bus.faults.fault_table import Probability
-from servobench.virtual_bus.faults.frame_fault import FrameFault
-from servobench.virtual_bus.faults.log_kind import LogKind
-from servobench.virtual_bus.faults.strikes import BurstStrike, Strike
+from servobench.virtual_bus.faults.fault_table import LogKind, Probability
+from servobench.virtual_bus.faults.frame_fault import BurstStrike, FrameFault, Strike
 
 
 class Burst(FrameFault):

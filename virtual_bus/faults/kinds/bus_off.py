@@ -1,8 +1,7 @@
 """``[[bus_off]]``: a node whose CAN controller goes bus-off."""
 
 from servobench.drivers.timebase import NS_PER_MS, Instant
-from servobench.virtual_bus.faults.fault_table import Lasting, ns
-from servobench.virtual_bus.faults.log_kind import NONE, LogNumber, node_event
+from servobench.virtual_bus.faults.fault_table import NONE, Lasting, LogNumber, node_event, ns
 from servobench.virtual_bus.faults.node_fault import Draw, NodeEvent, NodeOccasion, StruckNode
 
 

@@ -4,8 +4,7 @@ from collections.abc import Iterator
 from typing import Annotated
 
 from servobench.drivers.timebase import Instant
-from servobench.virtual_bus.faults.fault_table import TimeWindow, within
-from servobench.virtual_bus.faults.log_kind import NONE, LogNumber, node_event
+from servobench.virtual_bus.faults.fault_table import NONE, LogNumber, TimeWindow, node_event, within
 from servobench.virtual_bus.faults.node_fault import NodeEvent, NodeFault, Streams, StruckNode
 
 DRIFT_PPM_MAX = 10_000

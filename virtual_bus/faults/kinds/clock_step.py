@@ -1,8 +1,7 @@
 """``[[clock_step]]``: a drive's clock that jumps."""
 
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Instant
-from servobench.virtual_bus.faults.fault_table import Number, RangeRule
-from servobench.virtual_bus.faults.log_kind import LogNumber, node_event
+from servobench.virtual_bus.faults.fault_table import LogNumber, Number, RangeRule, node_event
 from servobench.virtual_bus.faults.node_fault import Draw, NodeEvent, NodeOccasion, StruckNode
 
 STEP_MAX = 3600 * NS_PER_S

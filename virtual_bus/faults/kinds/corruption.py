@@ -5,10 +5,16 @@ from typing import Final, Literal
 from pydantic import model_validator
 
 from servobench.virtual_bus.faults.fault_streams import UniformStream
-from servobench.virtual_bus.faults.fault_table import Probability, require
-from servobench.virtual_bus.faults.frame_fault import FrameFault
-from servobench.virtual_bus.faults.log_kind import LATER, NONE, Copies, LogKind, LogNumber
-from servobench.virtual_bus.faults.strikes import NumberedStrike
+from servobench.virtual_bus.faults.fault_table import (
+    LATER,
+    NONE,
+    Copies,
+    LogKind,
+    LogNumber,
+    Probability,
+    require,
+)
+from servobench.virtual_bus.faults.frame_fault import FrameFault, NumberedStrike
 
 ERROR_FRAME: Final = "error_frame"
 """An effect, and the kind of its entries in the log: ``n`` is of attempts to send, ``bit`` on the wire."""

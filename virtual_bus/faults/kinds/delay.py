@@ -1,10 +1,8 @@
 """``[[delay]]``: frames are held, fixed or drawn evenly."""
 
 from servobench.virtual_bus.faults.fault_streams import UniformStream
-from servobench.virtual_bus.faults.fault_table import Number, RangeRule
-from servobench.virtual_bus.faults.frame_fault import FrameFault
-from servobench.virtual_bus.faults.log_kind import LATER, LogKind, LogNumber
-from servobench.virtual_bus.faults.strikes import Hold, UniformHold
+from servobench.virtual_bus.faults.fault_table import LATER, LogKind, LogNumber, Number, RangeRule
+from servobench.virtual_bus.faults.frame_fault import FrameFault, Hold, UniformHold
 
 
 class Delay(FrameFault):

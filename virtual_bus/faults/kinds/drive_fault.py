@@ -8,8 +8,7 @@ from pydantic import model_validator
 
 from servobench.drivers.canopen.error_codes import ErrorRegister
 from servobench.drivers.timebase import NS_PER_MS, Instant
-from servobench.virtual_bus.faults.fault_table import Number, Seconds, ns, require
-from servobench.virtual_bus.faults.log_kind import LogNumber, node_event
+from servobench.virtual_bus.faults.fault_table import LogNumber, Number, Seconds, node_event, ns, require
 from servobench.virtual_bus.faults.node_fault import Draw, NodeEvent, NodeOccasion, StruckNode
 
 

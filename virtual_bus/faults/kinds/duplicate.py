@@ -4,10 +4,18 @@ from typing import Annotated
 
 from servobench.drivers.timebase import NS_PER_US
 from servobench.virtual_bus.faults.fault_streams import UniformStream
-from servobench.virtual_bus.faults.fault_table import DELAY_MAX, Probability, ns, within
-from servobench.virtual_bus.faults.frame_fault import FrameFault
-from servobench.virtual_bus.faults.log_kind import LATER, UNDAMAGED, Copies, LogKind, LogNumber
-from servobench.virtual_bus.faults.strikes import NumberedStrike, Strike
+from servobench.virtual_bus.faults.fault_table import (
+    DELAY_MAX,
+    LATER,
+    UNDAMAGED,
+    Copies,
+    LogKind,
+    LogNumber,
+    Probability,
+    ns,
+    within,
+)
+from servobench.virtual_bus.faults.frame_fault import FrameFault, NumberedStrike, Strike
 
 _MOST_US = DELAY_MAX // NS_PER_US
 

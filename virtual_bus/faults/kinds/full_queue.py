@@ -2,8 +2,8 @@
 
 import errno
 
-from servobench.virtual_bus.faults.log_kind import LogKind, LogNumber
-from servobench.virtual_bus.faults.outage import AdapterOutage
+from servobench.virtual_bus.faults.fault_table import LogKind, LogNumber
+from servobench.virtual_bus.faults.node_fault import AdapterOutage
 
 
 class FullQueue(AdapterOutage):

@@ -1,7 +1,6 @@
 """``[[host_stall]]``: a host that is late."""
 
-from servobench.virtual_bus.faults.fault_table import Number, RangeRule
-from servobench.virtual_bus.faults.log_kind import LogKind, LogNumber
+from servobench.virtual_bus.faults.fault_table import LogKind, LogNumber, Number, RangeRule
 from servobench.virtual_bus.faults.node_fault import Draw, Occasion
 
 

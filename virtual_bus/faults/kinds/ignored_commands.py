@@ -3,8 +3,7 @@
 from typing import Final, Literal
 
 from servobench.drivers.timebase import NS_PER_MS, Instant
-from servobench.virtual_bus.faults.fault_table import Lasting, ns
-from servobench.virtual_bus.faults.log_kind import NONE, LogNumber, node_event
+from servobench.virtual_bus.faults.fault_table import NONE, Lasting, LogNumber, node_event, ns
 from servobench.virtual_bus.faults.node_fault import Draw, NodeEvent, NodeOccasion, StruckNode
 
 _HOLDS: Final = ("last", "zero")

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from servobench.drivers.timebase import Instant
-from servobench.virtual_bus.faults.log_kind import NONE, node_event
+from servobench.virtual_bus.faults.fault_table import NONE, node_event
 from servobench.virtual_bus.faults.node_fault import NodeEvent, NodeFault, Streams, StruckNode
 
 

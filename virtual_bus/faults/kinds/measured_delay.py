@@ -13,8 +13,7 @@ from servobench.drivers.errors import MISSING
 from servobench.drivers.timebase import NS_PER_US
 from servobench.virtual_bus.faults.fault_streams import UniformStream
 from servobench.virtual_bus.faults.fault_table import DELAY_MAX, Number, ns, require
-from servobench.virtual_bus.faults.frame_fault import FrameFault
-from servobench.virtual_bus.faults.strikes import Hold, MeasuredHold
+from servobench.virtual_bus.faults.frame_fault import FrameFault, Hold, MeasuredHold
 
 COUNT_MAX = 1 << 53
 """Limit of a bar's count: the exact range of a float."""

@@ -1,10 +1,8 @@
 """``[[periodic_loss]]``: so many of each so many and one."""
 
 from servobench.virtual_bus.faults.fault_streams import UniformStream
-from servobench.virtual_bus.faults.fault_table import Count
-from servobench.virtual_bus.faults.frame_fault import FrameFault
-from servobench.virtual_bus.faults.log_kind import LogKind
-from servobench.virtual_bus.faults.strikes import PeriodicStrike, Strike
+from servobench.virtual_bus.faults.fault_table import Count, LogKind
+from servobench.virtual_bus.faults.frame_fault import FrameFault, PeriodicStrike, Strike
 
 
 class PeriodicLoss(FrameFault):

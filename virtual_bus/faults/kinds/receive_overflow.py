@@ -1,7 +1,7 @@
 """``[[receive_overflow]]``: the kernel drops what comes to the host."""
 
-from servobench.virtual_bus.faults.log_kind import LogKind, LogNumber
-from servobench.virtual_bus.faults.outage import AdapterOutage
+from servobench.virtual_bus.faults.fault_table import LogKind, LogNumber
+from servobench.virtual_bus.faults.node_fault import AdapterOutage
 
 
 class ReceiveOverflow(AdapterOutage):

@@ -7,10 +7,9 @@ from pydantic import model_validator
 from servobench.drivers.canopen.objects301 import PDO_ENTRIES_MAX, is_mapping
 from servobench.drivers.errors import MISSING
 from servobench.drivers.timebase import Instant
-from servobench.virtual_bus.faults.fault_table import require, within
-from servobench.virtual_bus.faults.log_kind import NONE, LogNumber, node_event
+from servobench.virtual_bus.faults.fault_table import NONE, LogNumber, node_event, require, within
+from servobench.virtual_bus.faults.mapped_objects import ObjectPlace, place_of, place_text
 from servobench.virtual_bus.faults.node_fault import NodeEvent, NodeFault, StruckNode
-from servobench.virtual_bus.faults.object_place import ObjectPlace, place_of, place_text
 
 NOT_MAPPABLE: Final = 0x06040041
 """Object cannot be mapped to the PDO (CiA 301, table 22)."""

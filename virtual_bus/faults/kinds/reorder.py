@@ -1,10 +1,17 @@
 """``[[reorder]]``: frames that others overtake."""
 
 from servobench.virtual_bus.faults.fault_streams import UniformStream
-from servobench.virtual_bus.faults.fault_table import Number, Probability, RangeRule
-from servobench.virtual_bus.faults.frame_fault import FrameFault
-from servobench.virtual_bus.faults.log_kind import LATER, UNDAMAGED, Copies, LogKind, LogNumber
-from servobench.virtual_bus.faults.strikes import NumberedStrike, Strike
+from servobench.virtual_bus.faults.fault_table import (
+    LATER,
+    UNDAMAGED,
+    Copies,
+    LogKind,
+    LogNumber,
+    Number,
+    Probability,
+    RangeRule,
+)
+from servobench.virtual_bus.faults.frame_fault import FrameFault, NumberedStrike, Strike
 
 
 def _held_back(held_ns: int) -> Copies:

@@ -4,8 +4,7 @@ from typing import Annotated, Final
 
 from servobench.drivers.canopen.error_codes import ErrorRegister
 from servobench.drivers.timebase import NS_PER_MS, Instant
-from servobench.virtual_bus.faults.fault_table import Lasting, ns, within
-from servobench.virtual_bus.faults.log_kind import NONE, LogNumber, node_event
+from servobench.virtual_bus.faults.fault_table import NONE, Lasting, LogNumber, node_event, ns, within
 from servobench.virtual_bus.faults.node_fault import EVERY_MIN, Draw, NodeEvent, NodeOccasion, StruckNode
 
 _REGISTERS: Final = {

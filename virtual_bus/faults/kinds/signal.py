@@ -10,10 +10,9 @@ from servobench.drivers.errors import MISSING
 from servobench.virtual_bus.faults import alterations
 from servobench.virtual_bus.faults.alterations import Alteration, Change
 from servobench.virtual_bus.faults.fault_streams import UniformStream
-from servobench.virtual_bus.faults.fault_table import Number, Probability, require, within
+from servobench.virtual_bus.faults.fault_table import LogKind, LogNumber, Number, Probability, require, within
 from servobench.virtual_bus.faults.frame_fault import LinkFault
-from servobench.virtual_bus.faults.log_kind import LogKind, LogNumber
-from servobench.virtual_bus.faults.object_place import ObjectPlace, place_of, place_text
+from servobench.virtual_bus.faults.mapped_objects import ObjectPlace, place_of, place_text
 
 _HOWS: Final = ("stuck", "offset", "drift", "noise", "scale", "sign", "bits")
 _KEYS: Final = {

@@ -1,8 +1,7 @@
 """``[[silence]]``: a node whose plug is pulled."""
 
 from servobench.drivers.timebase import Instant
-from servobench.virtual_bus.faults.fault_table import Lasting, ns
-from servobench.virtual_bus.faults.log_kind import LogNumber, node_event
+from servobench.virtual_bus.faults.fault_table import Lasting, LogNumber, node_event, ns
 from servobench.virtual_bus.faults.node_fault import Draw, NodeEvent, NodeOccasion, StruckNode
 
 

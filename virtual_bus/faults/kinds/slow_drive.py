@@ -6,9 +6,8 @@ from pydantic import model_validator
 
 from servobench.drivers.errors import MISSING
 from servobench.drivers.timebase import NS_PER_S
-from servobench.virtual_bus.faults.fault_table import Number, RangeRule, require
+from servobench.virtual_bus.faults.fault_table import LATER, LogKind, Number, RangeRule, require
 from servobench.virtual_bus.faults.frame_fault import COB_IDS
-from servobench.virtual_bus.faults.log_kind import LATER, LogKind
 from servobench.virtual_bus.faults.node_fault import NodeFault, Slowness, Streams
 
 BOOT_MAX: Final = 600 * NS_PER_S

@@ -3,8 +3,7 @@
 from typing import Annotated, Final
 
 from servobench.drivers.timebase import NS_PER_MS, Instant
-from servobench.virtual_bus.faults.fault_table import Lasting, ns, within
-from servobench.virtual_bus.faults.log_kind import LogNumber, node_event
+from servobench.virtual_bus.faults.fault_table import Lasting, LogNumber, node_event, ns, within
 from servobench.virtual_bus.faults.node_fault import Draw, NodeEvent, NodeOccasion, StruckNode
 
 _PERMILLE: Final = 1000

@@ -13,9 +13,8 @@ from servobench.drivers.wire.message import frame_of, message_of
 from servobench.drivers.wire.slcan_protocol import SlcanStatus
 from servobench.virtual_bus.bus.hub import HubBus
 from servobench.virtual_bus.frame import Frame
-from servobench.virtual_bus.instruments.serial_line.device_line import DeviceLine, LineFaults
-from servobench.virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
-from servobench.virtual_bus.instruments.slcan.adapter import SlcanAdapter
+from servobench.virtual_bus.instruments.serial_line import DeviceLine, LineFaults, PseudoTerminal
+from servobench.virtual_bus.instruments.slcan_adapter import SlcanAdapter
 
 TRANSMIT_FIFO = 64
 """Frames that the adapter holds for the bus."""

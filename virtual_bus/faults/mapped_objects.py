@@ -3,9 +3,14 @@
 What an SDO writes into the PDO parameters and is confirmed, and what it reads from them, is what the node
 has: so it is known on any bus, without a data sheet and for any drive. A boot-up message puts a node's
 parameters back to values that nobody has seen.
+
+An object of a dictionary as a fault plan names it, and as the upper 24 bits of a mapping word have it.
 """
 
-from typing import Final, NamedTuple
+import re
+from typing import Annotated, Any, Final, NamedTuple
+
+from pydantic import Field, PlainValidator
 
 from servobench.drivers.canopen.cob_ids import (
     CAN_ID,
@@ -26,8 +31,43 @@ from servobench.drivers.canopen.objects301 import (
     TPDO_MAPPING,
     is_mapping,
 )
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.key_advice import nearest
 from servobench.virtual_bus.bus.judge import Direction
 from servobench.virtual_bus.frame import Frame
+
+_BY_NAME: Final = {entry.name.lower(): int(entry) for entry in Object}
+_BY_NUMBER: Final = re.compile(r"([0-9A-Fa-f]{4})(?::([0-9]{1,3}))?")
+_EXPECTED: Final = 'an object, such as "606C", "1A00:1" or "velocity_actual_value"'
+
+
+def place_of(text: str) -> int:
+    """Index and sub-index of ``606C``, ``1A00:1`` or the name of a CiA 402 object. Error: ValueError."""
+    if text in _BY_NAME:
+        return _BY_NAME[text] << 8
+    match = _BY_NUMBER.fullmatch(text)
+    if match is None or int(match[2] or 0) > 0xFF:
+        actual = f"{text}_actual_value"
+        near = actual if actual in _BY_NAME else nearest(text, _BY_NAME)
+        raise ValueError(f'"{near}", the nearest name' if near else _EXPECTED)
+    return int(match[1], 16) << 8 | int(match[2] or 0)
+
+
+def place_text(place: int) -> str:
+    """``606Ch``, or ``1A00h:1``."""
+    return f"{place >> 8:04X}h" + (f":{place & 0xFF}" if place & 0xFF else "")
+
+
+def _named(value: Any) -> str:
+    if not isinstance(value, str):
+        raise ValueError(_EXPECTED)  # noqa: TRY004 - pydantic's validators tell by it
+    place_of(value)
+    return value
+
+
+ObjectPlace = Annotated[str, PlainValidator(_named), Field(description=_EXPECTED)]
+"""A field of a table."""
+
 
 _PREDEFINED: Final = {Direction.HOST_TO_DRIVE: tuple(RPDOS), Direction.DRIVE_TO_HOST: tuple(TPDOS)}
 _DOWNLOAD, _DOWNLOADED, _UPLOADED = 0x20, 0x60, 0x40
