@@ -9,11 +9,16 @@ Voltage and torque equations (n_p pole pairs, mechanical speed omega):
 
 k is 1 with the power-invariant transform ([Ling2012] (2.1), phi = phi_a = sqrt(3/2) phi_f)
 and 3/2 with the amplitude-invariant one ([Azaiz2007] (5), phi = phi_f).
+
+Figures derived from a motor's parameters, to compare with a data sheet and to choose a drive.
 """
 
 import math
 from dataclasses import dataclass
 from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
 
 from servobench.design.mechanism import Mechanism
 
@@ -76,3 +81,96 @@ class PmsmParameters:
     def torque_max_nm(self) -> float:
         """Torque at ``current_max_a`` on the q axis, N m."""
         return self.torque_constant_nm_a * self.current_max_a
+
+
+Array = NDArray[np.float64]
+
+
+def phase_emf_constant(motor: PmsmParameters) -> float:
+    """Return the peak of a phase's back-EMF per mechanical rad/s, V s."""
+    scale = math.sqrt(2.0 / 3.0) if motor.transform is Transform.POWER_INVARIANT else 1.0
+    return motor.pole_pairs * motor.flux_linkage_wb * scale
+
+
+def phase_peak(motor: PmsmParameters) -> float:
+    """Return the peak of a phase's current or voltage per dq magnitude of the motor's transform."""
+    return math.sqrt(2.0 / 3.0) if motor.transform is Transform.POWER_INVARIANT else 1.0
+
+
+def torque_limit(motor: PmsmParameters, speed_rad_s: Array) -> Array:
+    """Return the largest torque (k,) in N m with i_d = 0 at k speeds >= 0, within current and voltage circle.
+
+    (R i + w phi)^2 + (w L_q i)^2 <= V^2 with the electrical speed w, friction not subtracted. Zero where the
+    back-EMF alone exceeds the voltage: there is no field weakening, here or in the simulated drive.
+    """
+    omega = motor.pole_pairs * speed_rad_s
+    emf = omega * motor.flux_linkage_wb
+    square = motor.resistance_ohm**2 + (omega * motor.inductance_q_h) ** 2
+    linear = motor.resistance_ohm * emf
+    root = np.sqrt(np.maximum(linear**2 - square * (emf**2 - motor.voltage_max_v**2), 0.0))
+    current = np.where(emf <= motor.voltage_max_v, (root - linear) / square, 0.0)
+    return motor.torque_constant_nm_a * np.minimum(current, motor.current_max_a)
+
+
+def speed_limit(motor: PmsmParameters, torque_nm: float) -> float:
+    """Return the largest speed in rad/s at which ``torque_nm`` is available with i_d = 0; 0.0 if at none."""
+    no_load = motor.voltage_max_v / (motor.pole_pairs * motor.flux_linkage_wb)
+    if float(torque_limit(motor, np.zeros(1))[0]) < torque_nm:
+        return 0.0
+    low, high = 0.0, no_load
+    while high - low > 1e-9 * no_load:  # the limit falls with the speed
+        middle = 0.5 * (low + high)
+        low, high = (
+            (middle, high) if torque_limit(motor, np.array([middle]))[0] >= torque_nm else (low, middle)
+        )
+    return low
+
+
+def mechanism_figures(motor: PmsmParameters) -> dict[str, float]:
+    """Those of coupling, friction and cogging; none of what is not there."""
+    mechanism, figures = motor.mechanism, dict[str, float]()
+    if mechanism is None:
+        return figures
+    if (coupling := mechanism.coupling) is not None:
+        figures |= {
+            "antiresonance_hz": coupling.antiresonance_hz,
+            "resonance_hz": coupling.resonance_hz,
+            "stiffness_nm_rad": coupling.stiffness_nm_rad,
+            "twist_rated_torque_mrad": 1e3 * motor.rated_torque_nm / coupling.stiffness_nm_rad,
+        }
+        if coupling.backlash_rad:
+            figures["backlash_arcmin"] = math.degrees(coupling.backlash_rad) * 60.0
+    if (friction := mechanism.friction) is not None:
+        figures["breakaway_percent_of_rated"] = 100.0 * friction.breakaway_nm / motor.rated_torque_nm
+    if mechanism.cogging:
+        peak_nm = sum(harmonic.torque_nm for harmonic in mechanism.cogging)
+        figures["cogging_percent_of_rated"] = 100.0 * peak_nm / motor.rated_torque_nm
+    return figures
+
+
+def motor_figures(motor: PmsmParameters) -> dict[str, float]:
+    """Return derived figures, the unit last in each name. ``_rms`` and ``_peak``: of a phase's sine."""
+    emf = phase_emf_constant(motor)
+    peak = phase_peak(motor)
+    rpm = 30.0 / math.pi
+    return {
+        "kt_nm_arms": 3.0 / math.sqrt(2.0) * emf,
+        "kt_nm_apk": 1.5 * emf,
+        "ke_line_vrms_krpm": math.sqrt(1.5) * emf * RAD_S_PER_KRPM,
+        "rated_current_arms": motor.rated_current_a * peak / math.sqrt(2.0),
+        "peak_current_arms": motor.current_max_a * peak / math.sqrt(2.0),
+        "peak_torque_nm": motor.torque_max_nm,
+        "rated_power_w": motor.rated_torque_nm * motor.rated_speed_rad_s,
+        "short_circuit_current_arms": motor.flux_linkage_wb / motor.inductance_d_h * peak / math.sqrt(2.0),
+        "tau_electrical_ms": 1e3 * motor.inductance_q_h / motor.resistance_ohm,
+        "tau_mechanical_ms": 1e3 * motor.resistance_ohm * motor.inertia_kg_m2 / (1.5 * emf**2),
+        "motor_constant_nm_sqrt_w": emf * math.sqrt(1.5 / motor.resistance_ohm),
+        "copper_loss_rated_w": 1.5 * (motor.rated_current_a * peak) ** 2 * motor.resistance_ohm,
+        "no_load_speed_rpm": motor.voltage_max_v / (motor.pole_pairs * motor.flux_linkage_wb) * rpm,
+        "base_speed_rated_torque_rpm": speed_limit(motor, motor.rated_torque_nm) * rpm,
+        "base_speed_peak_torque_rpm": speed_limit(motor, motor.torque_max_nm) * rpm,
+        "acceleration_peak_krad_s2": 1e-3 * motor.torque_max_nm / motor.inertia_kg_m2,
+        "time_to_rated_speed_ms": 1e3 * motor.inertia_kg_m2 * motor.rated_speed_rad_s / motor.torque_max_nm,
+        "electrical_frequency_rated_hz": motor.pole_pairs * motor.rated_speed_rad_s / (2.0 * math.pi),
+        **mechanism_figures(motor),
+    }

@@ -6,11 +6,17 @@ from typing import Any
 
 from servobench.design.errors import InfeasibleDesign, NoSolution, SingularPlant
 from servobench.design.hinf.margins import Margins, margins
-from servobench.design.hinf.mixed_sensitivity import axis_plant, mixed_sensitivity
+from servobench.design.hinf.mixed_sensitivity import (
+    Weight,
+    Weights,
+    axis_plant,
+    error_weight,
+    mixed_sensitivity,
+    slope_weight,
+)
 from servobench.design.hinf.reduction import Method, hankel_singular_values, reduce
 from servobench.design.hinf.step_response import StepFigures, step_figures
 from servobench.design.hinf.synthesis import gamma_min, synthesise, verified_norm
-from servobench.design.hinf.weights import Weight, Weights, error_weight, slope_weight
 from servobench.design.motor import PmsmParameters
 from servobench.design.statespace import ComplexArray, StateSpace, Zpk, connect, series, zpk
 

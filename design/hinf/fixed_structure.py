@@ -17,10 +17,9 @@ import numpy as np
 import scipy.optimize
 
 from servobench.design.errors import InfeasibleDesign
-from servobench.design.hinf.mixed_sensitivity import mixed_sensitivity
+from servobench.design.hinf.mixed_sensitivity import Weights, mixed_sensitivity
 from servobench.design.hinf.synthesis import closed_loop
 from servobench.design.hinf.system_norm import hinf_norm
-from servobench.design.hinf.weights import Weights
 from servobench.design.statespace import Array, ComplexArray, StateSpace, from_zpk
 
 _BAD = 1e3

@@ -14,8 +14,7 @@ import numpy as np
 import scipy.linalg
 import scipy.optimize
 
-from servobench.design.hinf.bilinear import to_bilinear
-from servobench.design.statespace import Array, Peak, StateSpace, balanced, rebalanced
+from servobench.design.statespace import Array, Peak, StateSpace, balanced, rebalanced, to_bilinear
 
 _NEAR_AXIS = 1e-5
 """|real part| below this part of an eigenvalue's magnitude: perhaps a crossing, so it is examined."""

@@ -1,7 +1,7 @@
 """[Ling2012] Theorems 3.1 and 3.3 with all their matrices, written in cvxpy.
 
-A second, slower formulation of what :mod:`servobench.design.delay.delay_lmi` builds at order 0: there Y and W
-are eliminated and the problem goes to the solver as plain data; here both stay, the last block row is
+A second, slower formulation of what :mod:`servobench.design.delay.certificate` builds at order 0: there Y
+and W are eliminated and the problem goes to the solver as plain data; here both stay, the last block row is
 multiplied by eta Z (the correction that makes (3.1) and (3.10) linear), and cvxpy does the rest. ``hil
 analyse speed --as-printed`` and the reproduction show both, the tests compare them, the benchmark times them.
 """
@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from servobench.design.delay.certificate import STABLE_MARGIN
-from servobench.design.delay.delay_lmi import STRICT, scaled
+from servobench.design.delay.certificate import STABLE_MARGIN, STRICT, scaled
 from servobench.design.delay.delay_loop import Array, DelayLoop
 from servobench.design.errors import NoSolution
 

@@ -21,8 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from servobench.design.delay.certificate import certified_gain
-from servobench.design.delay.delay_lmi import STRICT
+from servobench.design.delay.certificate import STRICT, certified_gain
 from servobench.design.delay.delay_loop import Array
 from servobench.design.delay.lmi import LmiProblem, MatrixInequality, Unknowns, solve
 from servobench.design.delay.speed_loop import SpeedModel

@@ -32,10 +32,9 @@ import scipy.optimize
 
 from servobench.design.delay.delay_loop import Array
 from servobench.design.errors import DesignError
-from servobench.design.hinf.bilinear import from_bilinear, to_bilinear
+from servobench.design.hinf.mixed_sensitivity import crossing_weight
 from servobench.design.hinf.plant import GeneralisedPlant
 from servobench.design.hinf.synthesis import gamma_min, synthesise, verified_norm
-from servobench.design.hinf.weights import crossing_weight
 from servobench.design.speed.conditioned import Conditioned, conditioned, truncated
 from servobench.design.speed.hinf_loop import HinfLoop
 from servobench.design.speed.loop_robustness import (
@@ -47,7 +46,7 @@ from servobench.design.speed.loop_robustness import (
 from servobench.design.speed.plant_loop import SHAFT, later_s, split
 from servobench.design.speed.predictor_design import PHASES, WORST, PredictorRequest, peak_cost
 from servobench.design.speed.predictor_plant import FILTERED, LOAD
-from servobench.design.statespace import StateSpace, balanced, series, state_space
+from servobench.design.statespace import StateSpace, balanced, from_bilinear, series, state_space, to_bilinear
 
 _INERTIA_LEAST = 0.7
 """Least of the three inertias for which the peak is minimised."""

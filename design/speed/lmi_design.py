@@ -18,8 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import brentq
 
-from servobench.design.delay.certificate import certified_gain
-from servobench.design.delay.delay_lmi import gain_problem, scaled
+from servobench.design.delay.certificate import certified_gain, gain_problem, scaled
 from servobench.design.delay.delay_loop import Array, DelayLoop
 from servobench.design.delay.delay_norm import hinf_norm, is_stable, largest_stable_delay_s
 from servobench.design.delay.lmi import solve

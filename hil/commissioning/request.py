@@ -7,9 +7,9 @@ from typing import Final
 
 from pydantic import Field
 
+from servobench.design.data_sheet import readings
 from servobench.design.flux_constants import CONVENTIONS
 from servobench.design.sheet_figures import Contradiction, SheetFigures
-from servobench.design.sheet_readings import readings
 from servobench.drivers.bounded_file import NamedBy, read_toml
 from servobench.drivers.canopen.objects301 import FIRST_OBJECT
 from servobench.drivers.errors import BadInput

@@ -199,7 +199,7 @@ class ContinuousController(Section):
     def at_rate(self, rate_hz: int) -> StateSpace:
         """Return the sampled controller. Error: ValueError for roots without their conjugate or too low a
         rate."""
-        from servobench.design.hinf.bilinear import tustin  # with scipy: a third of a second, for who has one
+        from servobench.design.statespace import tustin  # with scipy: a third of a second, for who has one
 
         return tustin(self.continuous(), rate_hz, self.prewarp_rad_s)
 
@@ -226,7 +226,7 @@ class SampledController(Section):
 
     def continuous(self) -> StateSpace:
         """Return the continuous system that Tustin's rule maps to this controller."""
-        from servobench.design.hinf.bilinear import to_bilinear
+        from servobench.design.statespace import to_bilinear
 
         return to_bilinear(self.at_rate(self.sample_rate_hz))
 

@@ -132,7 +132,7 @@ def show(
       hil motor show motor.toml
       hil motor show maxon-ec-40-48v --like epos4-50-5
     """
-    from servobench.design.motor_figures import motor_figures
+    from servobench.design.motor import motor_figures
 
     parameters = motor_file(path).parameters
     if like is not None:

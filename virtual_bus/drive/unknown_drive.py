@@ -14,8 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from servobench.design.motor import PmsmParameters, Transform
-from servobench.design.motor_figures import motor_figures
+from servobench.design.motor import PmsmParameters, Transform, motor_figures
 from servobench.drivers.cia402.objects402 import Object, Unit, unit_word
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.virtual_bus.device.object_dictionary import Variable

@@ -21,28 +21,24 @@ from servobench.design.current.current_design import (
     rule_weights,
 )
 from servobench.design.current.current_loop import (
+    Decoupling,
     SampledFigures,
     discrete_design,
     discrete_plant,
     gamma_min_over_rates,
-    lowest_rate_hz,
-    sampled_figures,
-)
-from servobench.design.current.dq_loop import (
-    Decoupling,
     lowest_coupled_rate_hz,
+    lowest_rate_hz,
     nominal_decoupling,
+    sampled_figures,
     spectral_radius,
 )
-from servobench.design.hinf.bilinear import to_bilinear, tustin
 from servobench.design.hinf.fixed_structure import Structure, tune
-from servobench.design.hinf.mixed_sensitivity import axis_plant
+from servobench.design.hinf.mixed_sensitivity import Weights, axis_plant
 from servobench.design.hinf.reduction import Method
 from servobench.design.hinf.robustness import axis_robustness
 from servobench.design.hinf.synthesis import verified_norm
-from servobench.design.hinf.weights import Weights
 from servobench.design.motor import PmsmParameters
-from servobench.design.statespace import StateSpace, zpk
+from servobench.design.statespace import StateSpace, to_bilinear, tustin, zpk
 from servobench.drivers.errors import BadInput
 from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.studies.numbers import finite

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from servobench.design.mechanism import Coupling, cogging_nm, friction_nm, speed_responses
-from servobench.design.motor import PmsmParameters
-from servobench.design.motor_figures import speed_limit, torque_limit
+from servobench.design.motor import PmsmParameters, speed_limit, torque_limit
 from servobench.drivers.rotation import RAD_S_PER_RPM, RPM_PER_RAD_S
 from servobench.hil.studies.drawing import picture
 

@@ -3,9 +3,8 @@
 import numpy as np
 import scipy.stats
 
-from servobench.design.hinf.bilinear import to_bilinear
 from servobench.design.hinf.plant import GeneralisedPlant
-from servobench.design.statespace import StateSpace
+from servobench.design.statespace import StateSpace, to_bilinear
 
 
 def random_plant(seed: int) -> GeneralisedPlant:

@@ -13,9 +13,10 @@ from servobench.design.delay.certificate import (
     certified_gain,
     certified_gain_auto,
     certified_stable,
+    gain_problem,
     proved,
+    scaled,
 )
-from servobench.design.delay.delay_lmi import gain_problem, scaled
 from servobench.design.delay.delay_norm import hinf_norm, largest_stable_delay_s, rough_norm
 from servobench.design.delay.lmi import solve
 from servobench.design.delay.speed_loop import speed_model

@@ -10,31 +10,38 @@ import scipy.signal
 
 from servobench.design.current.current_design import design_axis, reduced_design, rule_weights
 from servobench.design.current.current_loop import (
+    Decoupling,
+    closed_loop_matrix,
     discrete_design,
     gamma_min_over_rates,
     held,
-    lowest_rate_hz,
-    sampled_figures,
-)
-from servobench.design.current.dq_loop import (
-    Decoupling,
-    closed_loop_matrix,
     lowest_coupled_rate_hz,
+    lowest_rate_hz,
     nominal_decoupling,
     rotation,
+    sampled_figures,
     spectral_radius,
 )
 from servobench.design.errors import InfeasibleDesign
-from servobench.design.hinf.bilinear import from_bilinear, to_bilinear, tustin
 from servobench.design.hinf.fixed_structure import Structure, tune
 from servobench.design.hinf.margins import margins
-from servobench.design.hinf.mixed_sensitivity import axis_plant
+from servobench.design.hinf.mixed_sensitivity import axis_plant, crossing_weight, error_weight, slope_weight
 from servobench.design.hinf.reduction import Method, hankel_singular_values, reduce
 from servobench.design.hinf.step_response import step_figures
 from servobench.design.hinf.system_norm import hinf_norm
-from servobench.design.hinf.weights import crossing_weight, error_weight, slope_weight
 from servobench.design.papers.azaiz2007 import MOTOR, paper_design, printed_figures
-from servobench.design.statespace import StateSpace, connect, from_zpk, series, state_space, zeros, zpk
+from servobench.design.statespace import (
+    StateSpace,
+    connect,
+    from_bilinear,
+    from_zpk,
+    series,
+    state_space,
+    to_bilinear,
+    tustin,
+    zeros,
+    zpk,
+)
 
 Q, Q_REDUCED = paper_design("q")
 D, D_REDUCED = paper_design("d")

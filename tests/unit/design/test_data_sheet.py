@@ -10,8 +10,14 @@ from numpy.typing import NDArray
 
 from servobench.design.data_sheet import DataSheet, at_temperature, of_phase
 from servobench.design.flux_constants import CONVENTIONS, emf_constant, figure
-from servobench.design.motor import PmsmParameters, Transform
-from servobench.design.motor_figures import motor_figures, phase_emf_constant, speed_limit, torque_limit
+from servobench.design.motor import (
+    PmsmParameters,
+    Transform,
+    motor_figures,
+    phase_emf_constant,
+    speed_limit,
+    torque_limit,
+)
 
 _ANGLES = np.linspace(0.0, 2.0 * np.pi, 7200, endpoint=False)
 _SHIFTS = np.array([0.0, -2.0 * np.pi / 3.0, 2.0 * np.pi / 3.0])

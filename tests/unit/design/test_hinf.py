@@ -10,11 +10,16 @@ from servobench.design.current.current_design import rule_weights
 from servobench.design.errors import InfeasibleDesign, SingularPlant
 from servobench.design.hinf import synthesis
 from servobench.design.hinf.feasibility import evaluated
-from servobench.design.hinf.mixed_sensitivity import axis_plant, mixed_sensitivity
+from servobench.design.hinf.mixed_sensitivity import (
+    Weight,
+    Weights,
+    axis_plant,
+    error_weight,
+    mixed_sensitivity,
+)
 from servobench.design.hinf.plant import GeneralisedPlant
 from servobench.design.hinf.riccati import NoRiccatiSolution, RiccatiSolution, stabilising_solution
 from servobench.design.hinf.synthesis import gamma_min, synthesise, verified_norm
-from servobench.design.hinf.weights import Weight, Weights, error_weight
 from servobench.design.papers.azaiz2007 import MOTOR
 from servobench.design.statespace import StateSpace, state_space, zpk
 from tests.unit.design.hinf_plants import badly_scaled, random_plant, stiff_plant, with_weak_control

@@ -8,10 +8,9 @@ import pytest
 import scipy.optimize
 
 from servobench.design.current.coupled_robustness import coupled_real_mu, coupled_robustness, worst_motor
-from servobench.design.hinf.box_sensitivity import AxisBox, Worst, worst_over_box
 from servobench.design.hinf.margins import margins
 from servobench.design.hinf.mixed_sensitivity import axis_plant
-from servobench.design.hinf.robustness import axis_robustness
+from servobench.design.hinf.robustness import AxisBox, Worst, axis_robustness, worst_over_box
 from servobench.design.hinf.system_norm import largest_gain
 from servobench.design.papers.azaiz2007 import MOTOR, paper_design
 from servobench.design.statespace import StateSpace, connect, from_zpk, series

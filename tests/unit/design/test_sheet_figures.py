@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import pytest
 
+from servobench.design.data_sheet import readings
 from servobench.design.flux_constants import CONVENTIONS, figure
 from servobench.design.sheet_figures import FIELDS, SheetFigures
-from servobench.design.sheet_readings import readings
 
 RPM = math.pi / 30.0
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from servobench.design.current.dq_loop import Decoupling
+from servobench.design.current.current_loop import Decoupling
 from servobench.design.hinf.reduction import Method
 from servobench.design.statespace import StateSpace
 from servobench.drivers.errors import BadInput

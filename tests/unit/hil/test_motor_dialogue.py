@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from servobench.design.motor_figures import motor_figures
+from servobench.design.motor import motor_figures
 from servobench.hil.cli import app
 from servobench.hil.configuration.motor_file import load_motor
 from servobench.hil.studies.motor.figures import FIGURES, GROUPS

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from servobench.design.motor_figures import speed_limit
+from servobench.design.motor import speed_limit
 from servobench.drivers.rotation import RPM_PER_RAD_S
 from servobench.hil.cli import app
 from servobench.hil.configuration.motor_file import load_motor

@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from servobench.design.mechanism import Side
-from servobench.design.motor import Transform
-from servobench.design.motor_figures import motor_figures
+from servobench.design.motor import Transform, motor_figures
 from servobench.drivers.errors import BadInput
 from servobench.hil.configuration.config_files import BadInputs
 from servobench.hil.configuration.motor_file import LING2012, MotorFile, load_motor, speed_max_rpm

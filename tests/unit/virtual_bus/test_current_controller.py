@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from servobench.design.current.current_loop import held
-from servobench.design.hinf.bilinear import tustin
 from servobench.design.papers.azaiz2007 import MOTOR, paper_design
-from servobench.design.statespace import StateSpace, connect, series
+from servobench.design.statespace import StateSpace, connect, series, tustin
 from servobench.drivers.timebase import Instant
 from servobench.virtual_bus.drive.current_controller import take_back_gain
 from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
