@@ -1,4 +1,4 @@
-"""What is between a motor's rotor and its load, and holds them: coupling, backlash, friction, cogging.
+"""Machine around a motor's rotor: coupling, backlash, friction, cogging, a load by its place, switches.
 
 Two masses J_m and J_l, a coupling with stiffness k and damping d in its twist p beyond the backlash:
 
@@ -80,12 +80,113 @@ class CoggingHarmonic:
 
 
 @dataclass(frozen=True, slots=True)
+class Arm:
+    """A weight on an arm: torque sin(angle) against positive speed, of an arm that hangs down at 0."""
+
+    torque_nm: float
+    """At the motor, of an arm that lies level."""
+    ratio: float = 1.0
+    """Turns of the motor for one of the arm."""
+    phase_rad: float = 0.0
+    """Angle of the arm at power-on."""
+
+    @property
+    def stiffness_nm_rad(self) -> float:
+        """At the motor, of an arm that hangs down; one that stands up has the same below 0."""
+        return self.torque_nm / self.ratio
+
+
+@dataclass(frozen=True, slots=True)
+class LoadMap:
+    """Torque over place and speed: straight between points, held beyond the last ones."""
+
+    turns: tuple[float, ...]
+    """Places (n,), of the motor since power-on, rising."""
+    speeds_rad_s: tuple[float, ...]
+    """Speeds (m,), rising."""
+    torques_nm: tuple[tuple[float, ...], ...]
+    """(n, m), against positive speed."""
+    repeats: bool = False
+    """The last place is the first again."""
+
+
+@dataclass(frozen=True, slots=True)
+class EndStops:
+    """A spring with a damper at either end of the way; it pushes and never pulls."""
+
+    negative_turns: float | None
+    """Where the load touches it, turns of the motor since power-on; None: no stop there."""
+    positive_turns: float | None
+    stiffness_nm_rad: float
+    damping_ratio: float
+    """Damping of the load's oscillation on the stop."""
+
+    def damping_nm_s(self, load_kg_m2: float) -> float:
+        """N m per rad/s, of a load with that inertia."""
+        return 2.0 * self.damping_ratio * math.sqrt(self.stiffness_nm_rad * load_kg_m2)
+
+
+@dataclass(frozen=True, slots=True)
+class Switches:
+    """Switches beside the axis, turns of the motor since power-on; None: not fitted."""
+
+    negative_turns: float | None = None
+    """Active here and below."""
+    positive_turns: float | None = None
+    """Active here and above."""
+    home_turns: tuple[float, float] | None = None
+    """Active from the first to the second."""
+    bounce_s: float = 0.0
+    """From the crossing of an edge until the contact rests."""
+    bounces: int = 3
+    """In that time; the contact changes twice in each."""
+    filter_s: float = 0.0
+    """Filter of the drive's inputs: a change that lasts shorter is not seen."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedLoad:
+    """Torque that a load asks of the shaft by its place and its speed."""
+
+    hanging_nm: float = 0.0
+    """Torque of a weight on a rope: the same everywhere, against positive speed."""
+    arm: Arm | None = None
+    table: LoadMap | None = None
+    stops: EndStops | None = None
+
+    @property
+    def of_its_place(self) -> tuple[str, ...]:
+        """Parts that change with place or speed, by their keys in a file: a linear model has none of them."""
+        parts = {"arm": self.arm, "table": self.table, "end_stops": self.stops}
+        return tuple(name for name, part in parts.items() if part is not None)
+
+
+@dataclass(frozen=True, slots=True)
 class Mechanism:
     """What of it there is."""
 
     coupling: Coupling | None = None
     friction: Friction | None = None
     cogging: tuple[CoggingHarmonic, ...] = ()
+    load: PlacedLoad | None = None
+    switches: Switches | None = None
+
+    def load_kg_m2(self, inertia_kg_m2: float) -> float:
+        """Inertia behind the coupling; without one, all of it."""
+        return inertia_kg_m2 if self.coupling is None else self.coupling.load_kg_m2
+
+    def fastest_hz(self, inertia_kg_m2: float) -> float:
+        """The highest frequency at which something swings, over the coupling or on an end stop; 0: none."""
+        squares = [0.0]
+        stops = None if self.load is None else self.load.stops
+        stop_nm_rad = 0.0 if stops is None else stops.stiffness_nm_rad
+        if self.coupling is not None:
+            shaft = self.coupling
+            load = (shaft.stiffness_nm_rad + stop_nm_rad) / shaft.load_kg_m2
+            squares.append(load + shaft.stiffness_nm_rad / shaft.motor_kg_m2)
+        elif stops is not None:
+            squares.append(stop_nm_rad / inertia_kg_m2)
+        return math.sqrt(max(squares)) / math.tau
 
 
 def friction_nm(friction: Friction, coulomb_nm: float, viscous_nm_s: float, speed_rad_s: Array) -> Array:

@@ -127,7 +127,7 @@ def speed_limit(motor: PmsmParameters, torque_nm: float) -> float:
 
 
 def mechanism_figures(motor: PmsmParameters) -> dict[str, float]:
-    """Those of coupling, friction and cogging; none of what is not there."""
+    """Those of coupling, friction, cogging and load; none of what is not there."""
     mechanism, figures = motor.mechanism, dict[str, float]()
     if mechanism is None:
         return figures
@@ -145,6 +145,26 @@ def mechanism_figures(motor: PmsmParameters) -> dict[str, float]:
     if mechanism.cogging:
         peak_nm = sum(harmonic.torque_nm for harmonic in mechanism.cogging)
         figures["cogging_percent_of_rated"] = 100.0 * peak_nm / motor.rated_torque_nm
+    return figures | _load_figures(motor, mechanism)
+
+
+def _load_figures(motor: PmsmParameters, mechanism: Mechanism) -> dict[str, float]:
+    load, figures = mechanism.load, dict[str, float]()
+    if load is None:
+        return figures
+    if load.hanging_nm:
+        figures["hanging_percent_of_rated"] = 100.0 * load.hanging_nm / motor.rated_torque_nm
+    if load.arm is not None:
+        figures["arm_percent_of_rated"] = 100.0 * load.arm.torque_nm / motor.rated_torque_nm
+        figures["arm_swings_hz"] = math.sqrt(load.arm.stiffness_nm_rad / motor.inertia_kg_m2) / math.tau
+    if load.table is not None:
+        peak_nm = max(abs(torque_nm) for row in load.table.torques_nm for torque_nm in row)
+        figures["table_peak_percent_of_rated"] = 100.0 * peak_nm / motor.rated_torque_nm
+    if load.stops is not None:
+        load_kg_m2 = mechanism.load_kg_m2(motor.inertia_kg_m2)
+        stiffness = load.stops.stiffness_nm_rad
+        figures["stop_hz"] = math.sqrt(stiffness / load_kg_m2) / math.tau
+        figures["stop_peak_at_rated_speed_nm"] = motor.rated_speed_rad_s * math.sqrt(stiffness * load_kg_m2)
     return figures
 
 

@@ -1,5 +1,7 @@
 """The motor of the simulated drive without its firmware, for tests that drive it by voltages."""
 
+import math
+
 from servobench.design.motor import PmsmParameters
 from servobench.virtual_bus.core.native import InnerLoops
 from servobench.virtual_bus.drive.firmware import fill_machine
@@ -11,6 +13,7 @@ class Plant:
     def __init__(self, motor: PmsmParameters, period_s: float = 1.0 / 16_000) -> None:
         """``period_s``: what one ``advance`` covers."""
         self._inner = InnerLoops()
+        self._periods = 0
         fill_machine(self._inner, motor, period_s)
 
     def advance(
@@ -28,6 +31,7 @@ class Plant:
         inverter does within one PWM period; otherwise it turns with the rotor.
         """
         turning = 1.0 if stator_fixed else 0.0
+        self._periods += periods
         self._inner.advance_motor(voltage_d_v, voltage_q_v, load_nm, turning, periods)
 
     def spin(self, speed_rad_s: float, load_speed_rad_s: float | None = None) -> None:
@@ -35,6 +39,25 @@ class Plant:
         load's is None."""
         self._inner.speed_rad_s = speed_rad_s
         self._inner.load_speed_rad_s = speed_rad_s if load_speed_rad_s is None else load_speed_rad_s
+
+    def set_angle(self, turns: float) -> None:
+        """Set where the shaft is, as if it had been turned there from outside."""
+        self._inner.turns = math.floor(turns)
+        self._inner.angle_rad = (turns - math.floor(turns)) * math.tau
+
+    def time_s(self, period_s: float) -> float:
+        """Of all that it has advanced."""
+        return self._periods * period_s
+
+    @property
+    def stop_hits(self) -> int:
+        """How often an end stop has been hit."""
+        return int(self._inner.stop_hits)
+
+    @property
+    def stop_hit_rad_s(self) -> float:
+        """Speed at the last hit."""
+        return self._inner.stop_hit_rad_s
 
     @property
     def current_d_a(self) -> float:

@@ -1,11 +1,11 @@
 """Motor files: the parameters of a PMSM in TOML, turned into
 :class:`servobench.design.motor.PmsmParameters`, and the mechanism between rotor and load: ``[coupling]``,
-``[friction]`` and ``[[cogging]]``.
+``[friction]``, ``[[cogging]]``, ``[load]`` and ``[switches]``.
 """
 
 import math
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
@@ -15,6 +15,7 @@ from servobench.drivers.bounded_file import NamedBy
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.vendors.motor_objects import POLE_PAIRS_MAX
 from servobench.hil.configuration.config_files import Section
+from servobench.hil.configuration.load_tables import LoadTables, SwitchesTable
 from servobench.hil.configuration.preset_files import FromPreset, load_file_or_preset
 from servobench.hil.configuration.quantities import (
     CoulombFriction,
@@ -24,13 +25,12 @@ from servobench.hil.configuration.quantities import (
     Inertia,
     Resistance,
     Speed,
+    Stiffness,
     Torque,
     ViscousFriction,
     Voltage,
 )
 
-Stiffness = Annotated[float, Field(ge=1e-6, le=1e9)]
-"""N m/rad"""
 RESONANCE_MAX_HZ = 5000.0
 """A simulated period is cut into steps by the resonance: 20 of them at 16 kHz."""
 
@@ -78,10 +78,13 @@ class CouplingTable(Section):
         )
         if found.resonance_hz > RESONANCE_MAX_HZ:
             raise ValueError(
-                f"a resonance of at most {RESONANCE_MAX_HZ:.0f} Hz, this is {found.resonance_hz:.0f} Hz; "
-                "without the table the shaft is rigid"
+                f"{_too_fast('a resonance', found.resonance_hz)}; without the table the shaft is rigid"
             )
         return found
+
+
+def _too_fast(what: str, found_hz: float) -> str:
+    return f"{what} of at most {RESONANCE_MAX_HZ:.0f} Hz, this is {found_hz:.0f} Hz"
 
 
 class FrictionTable(Section):
@@ -126,11 +129,13 @@ def mechanism_of(
     coupling: CouplingTable | None,
     friction: FrictionTable | None,
     cogging: list[CoggingTable] | None,
+    load: LoadTables | None,
+    switches: SwitchesTable | None,
     inertia_kg_m2: float,
     coulomb_nm: float,
 ) -> Mechanism | None:
     """What the tables say together; None: nothing. Error: ValueError for what cannot be."""
-    if coupling is None and friction is None and not cogging:
+    if coupling is None and friction is None and not cogging and load is None and switches is None:
         return None
     if friction is not None and friction.side == "load" and coupling is None:
         raise ValueError("[friction] side 'load': a table [coupling] expected")
@@ -138,6 +143,8 @@ def mechanism_of(
         None if coupling is None else coupling.coupling(inertia_kg_m2),
         None if friction is None else friction.friction(coulomb_nm),
         tuple(one.harmonic for one in cogging or ()),
+        None if load is None else load.load,
+        None if switches is None else switches.switches,
     )
 
 
@@ -184,6 +191,8 @@ class MotorFile(FromPreset):
     coupling: CouplingTable | None = Field(default=None, description="the table [coupling]")
     friction: FrictionTable | None = Field(default=None, description="the table [friction]")
     cogging: list[CoggingTable] | None = Field(default=None, description="the tables [[cogging]]")
+    load: LoadTables | None = Field(default=None, description="the table [load]")
+    switches: SwitchesTable | None = Field(default=None, description="the table [switches]")
 
     @field_validator("coupling")
     @classmethod
@@ -203,10 +212,28 @@ class MotorFile(FromPreset):
             raise ValueError("side 'motor', or a table [coupling]")
         return friction
 
+    @field_validator("load")
+    @classmethod
+    def _stops_can_be_stepped(cls, load: LoadTables | None, found: ValidationInfo) -> LoadTables | None:
+        if load is None or load.end_stops is None or "mechanics" not in found.data:
+            return load
+        inertia_kg_m2, coupling = found.data["mechanics"].inertia_kg_m2, found.data.get("coupling")
+        shaft = None if coupling is None else coupling.coupling(inertia_kg_m2)
+        fastest_hz = Mechanism(shaft, load=load.load).fastest_hz(inertia_kg_m2)
+        if fastest_hz > RESONANCE_MAX_HZ:
+            raise ValueError(_too_fast("end_stops.stiffness_nm_rad with a frequency on the stop", fastest_hz))
+        return load
+
     def _mechanism(self) -> Mechanism | None:
         mechanics = self.mechanics
         return mechanism_of(
-            self.coupling, self.friction, self.cogging, mechanics.inertia_kg_m2, mechanics.coulomb_friction_nm
+            self.coupling,
+            self.friction,
+            self.cogging,
+            self.load,
+            self.switches,
+            mechanics.inertia_kg_m2,
+            mechanics.coulomb_friction_nm,
         )
 
     @property

@@ -56,6 +56,8 @@ Current = Annotated[float, Field(ge=1e-4, le=1e5), Usual(0.05, 3e3)]
 """A"""
 Voltage = Annotated[float, Field(ge=0.1, le=1e5), Usual(5.0, 1500.0)]
 """V"""
+Stiffness = Annotated[float, Field(ge=1e-6, le=1e9)]
+"""N m/rad"""
 SlewRate = Annotated[float, Field(ge=1e-6, le=1e9)]
 """N m/s, or r/min per s"""
 Gain = Annotated[float, Field(ge=-1e9, le=1e9)]

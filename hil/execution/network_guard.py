@@ -338,13 +338,18 @@ class Certificates:
                 yield f"faults.{kind}: the drive itself was struck"
 
     def _flexible(self, axis: str) -> Iterator[str]:
-        """A coupling that twists, where every certificate has a rigid shaft."""
+        """A coupling that twists, or a load that changes with its place: a certificate has a rigid shaft."""
         drive, key = self._config.drive[axis], f"drive.{axis}.motor"
         motor = drive.motor
         if self._config.simulated and drive.simulation.motor is not None:
             motor, key = drive.simulation.motor, f"drive.{axis}.simulation.motor"
         mechanism = motor.parameters.mechanism
-        if mechanism is not None and mechanism.coupling is not None:
+        if mechanism is None:
+            return
+        if mechanism.load is not None and mechanism.load.of_its_place:
+            parts = ", ".join(mechanism.load.of_its_place)
+            yield f"{key}.load: {parts}, expected a load torque that no place or speed changes"
+        if mechanism.coupling is not None:
             found_hz = mechanism.coupling.resonance_hz
             yield f"{key}.coupling: resonance at {found_hz:.3g} Hz, expected a rigid shaft"
 

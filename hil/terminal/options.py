@@ -127,12 +127,16 @@ def motor_file(path: Path, option: str = "MOTOR.toml") -> "MotorFile":
 
 
 def rigid_motor(path: Path) -> "PmsmParameters":
-    """The motor of a design, which knows no coupling; what it leaves out is said. Raises BadInput or
-    BadInputs."""
+    """The motor of a design, which knows no coupling and no place; what it leaves out is said. Raises
+    BadInput or BadInputs."""
     motor = motor_file(path).parameters
-    if motor.mechanism is not None and motor.mechanism.coupling is not None:
-        found_hz = f"{motor.mechanism.coupling.resonance_hz:.3g} Hz"
+    mechanism = motor.mechanism
+    if mechanism is not None and mechanism.coupling is not None:
+        found_hz = f"{mechanism.coupling.resonance_hz:.3g} Hz"
         say(f"hil: note: {path}: a rigid shaft is assumed, the coupling's resonance at {found_hz} left out")
+    if mechanism is not None and mechanism.load is not None and mechanism.load.of_its_place:
+        parts = ", ".join(mechanism.load.of_its_place)
+        say(f"hil: note: {path}: a load that no place changes is assumed, {parts} of [load] left out")
     return motor
 
 

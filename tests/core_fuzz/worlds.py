@@ -14,8 +14,6 @@ import can
 import numpy as np
 
 from servobench.design.core import native
-from servobench.design.mechanism import CoggingHarmonic, Coupling, Friction, Mechanism, Side
-from servobench.design.motor import PmsmParameters
 from servobench.design.statespace import StateSpace
 from servobench.drivers.core.native import Link, Pump, WireFrame
 from servobench.drivers.timebase import NS_PER_MS, Instant
@@ -56,14 +54,15 @@ from servobench.virtual_bus.core.native import (
     user_position,
     wire_bits,
 )
-from servobench.virtual_bus.drive.encoder import Encoder, SineErrors, SpeedMethod, SpeedSensing
+from servobench.virtual_bus.drive.encoder import SpeedMethod, SpeedSensing
 from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
 from servobench.virtual_bus.drive.load_table import LoadTable
-from servobench.virtual_bus.drive.power_stage import CurrentSensors, Inverter
+from servobench.virtual_bus.drive.power_stage import Inverter
 from servobench.virtual_bus.frame import Frame
 from tests.core_fuzz.devices import devices
 from tests.core_fuzz.fates import ODD, Refused, drawn_judge, odd_number
 from tests.core_fuzz.links import links
+from tests.core_fuzz.machines import drawn_encoder, drawn_mechanism, drawn_sensors
 from tests.core_fuzz.pdos import pdos
 from tests.core_fuzz.streams import streams
 from tests.motors import AZAIZ, LING
@@ -115,14 +114,14 @@ def drive(draw: random.Random) -> None:
         inertia_kg_m2=10.0 ** draw.uniform(-6.0, 1.0),
     )
     if draw.random() < 0.5:
-        motor = replace(motor, mechanism=_mechanism(draw, motor))
+        motor = replace(motor, mechanism=drawn_mechanism(draw, motor))
     parameters = FirmwareParameters(
         inner_rate_hz=rate_hz,
         encoder_counts_per_revolution=draw.choice([16, 1000, 65_536, 1 << 30]),
         controller_q=_controller(draw, rate_hz) if draw.random() < 0.3 else None,
-        encoder=_encoder(draw, rate_hz) if draw.random() < 0.5 else None,
+        encoder=drawn_encoder(draw, rate_hz) if draw.random() < 0.5 else None,
         inverter=Inverter(draw.choice([0.0, 0.5 / rate_hz]), draw.choice([0.0, 1.0]), draw.uniform(0.1, 1.0)),
-        current_sensors=_sensors(draw) if draw.random() < 0.5 else None,
+        current_sensors=drawn_sensors(draw) if draw.random() < 0.5 else None,
         speed=SpeedSensing(
             draw.choice(list(SpeedMethod)),
             draw.choice([None, 10.0 ** draw.uniform(0.0, 5.0)]),
@@ -145,35 +144,6 @@ def drive(draw: random.Random) -> None:
         assert len(firmware.inner.state()) == len(InnerLoops().state())
 
 
-def _encoder(draw: random.Random, rate_hz: int) -> Encoder:
-    sines = SineErrors(*(draw.uniform(-0.2, 0.2) for _ in range(4)))
-    lines, eccentricity_rad = draw.choice([1, 1000, 1 << 20]), draw.choice([0.0, 0.2])
-    delay_s = draw.random() / rate_hz
-    return Encoder(lines, draw.choice([None, sines]), eccentricity_rad, draw.uniform(-7.0, 7.0), delay_s)
-
-
-def _sensors(draw: random.Random) -> CurrentSensors:
-    range_a = 10.0 ** draw.uniform(-3.0, 3.0)
-    gains, offset_a = (draw.uniform(-0.2, 0.2), draw.uniform(-0.2, 0.2)), range_a * draw.uniform(-0.2, 0.2)
-    noise_a = draw.choice([0.0, 0.1 * range_a])
-    return CurrentSensors(range_a, draw.choice([None, 4, 24]), *gains, offset_a, 0.0, noise_a)
-
-
-def _mechanism(draw: random.Random, motor: PmsmParameters) -> Mechanism:
-    load_kg_m2 = motor.inertia_kg_m2 * draw.uniform(0.01, 0.99)
-    coupling = Coupling(
-        motor.inertia_kg_m2 - load_kg_m2,
-        load_kg_m2,
-        load_kg_m2 * draw.uniform(1.0, 3e3) ** 2,
-        draw.choice([0.0, 0.02, 1.0]),
-        draw.choice([0.0, 1e-5, 0.01]),
-        draw.choice(list(Side)),
-    )
-    friction = Friction(draw.uniform(0.05, 1.0), draw.uniform(0.01, 50.0), 0.1, draw.choice(list(Side)))
-    cogging = (CoggingHarmonic(draw.randrange(1, 100), draw.uniform(0.0, 1.0)),)
-    return Mechanism(draw.choice([None, coupling]), draw.choice([None, friction]), draw.choice([(), cogging]))
-
-
 def _controller(draw: random.Random, rate_hz: int) -> StateSpace:
     order = draw.randrange(9)
     a = np.diag([draw.uniform(-0.9, 0.9) for _ in range(order)])
@@ -184,6 +154,8 @@ def _tell(inner: InnerLoops, draw: random.Random) -> None:
     """Any units; a state that is no number is refused."""
     inner.origin, inner.counts_per_position = odd_number(draw), odd_number(draw)
     inner.velocity_per_rad_s, inner.torque_unit_nm = odd_number(draw), odd_number(draw)
+    inner.set_switch(draw.randrange(3), odd_number(draw), odd_number(draw))
+    assert inner.switch_seen(draw.randrange(3)) in (False, True)
     try:
         position, velocity, torque = inner.position_told(), inner.velocity_told(), inner.torque_told()
         demand = inner.torque_demand_told()

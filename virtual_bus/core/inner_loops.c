@@ -309,6 +309,18 @@ void look_up_loads(InnerLoops *self, int count)
     load->end = self->ticks + count;
 }
 
+/* At the end of an inner period. */
+static void look_at_switches(InnerLoops *self)
+{
+    const MotorState *shaft = &self->shaft;
+    bool coupled = self->mechanism.coupled;
+    double speed_rad_s = coupled ? self->load_side.speed_rad_s : shaft->speed_rad_s;
+    double ahead_rad = shaft->angle_rad - (coupled ? self->load_side.twist_rad : 0.0);
+    double now_s = (double)(self->ticks + 1) * self->motor.period_s;
+    watch_switches(&self->switched, &self->switches, shaft->turns + ahead_rad * PER_TURN, speed_rad_s * PER_TURN, now_s,
+                   self->motor.period_s);
+}
+
 static void run(InnerLoops *self, int64_t ticks)
 {
     self->asked = 0;
@@ -321,6 +333,8 @@ static void run(InnerLoops *self, int64_t ticks)
             self->demand.load_nm = self->load.loads_nm[place];
         }
         drive_motor(self, self->demand.load_nm);
+        if (self->switches.active)
+            look_at_switches(self);
         run_firmware(self);
         self->ticks++;
     }

@@ -13,6 +13,7 @@
 #include "motor.h"
 #include "phases.h"
 #include "protection.h"
+#include "switches.h"
 
 enum { CONTROLLER_ORDER_MAX = 8 };
 /* Inner periods: the loads of the next 16 ms are looked up at once. */
@@ -81,6 +82,8 @@ typedef struct InnerLoops {
     MotorState shaft;
     Mechanism mechanism;
     LoadSide load_side;
+    Switches switches;
+    SwitchState switched;
     DcLink dc_link;
     LinkState link;
     double phase_amplitude; /* A of a phase over A of the motor's transform */

@@ -8,7 +8,7 @@
 typedef struct InnerLoopsObject {
     PyObject head;
     PyObject *times, *torques; /* octets that the load table lies in */
-    PyObject *cogging;         /* octets, or NULL */
+    PyObject *cogging, *load_table; /* octets, or NULL */
     InnerLoops loops;
 } InnerLoopsObject;
 
@@ -42,10 +42,10 @@ static void keep_table(InnerLoopsObject *self, PyObject *times, PyObject *torque
     }
 }
 
-static void keep_cogging(InnerLoopsObject *self, PyObject *octets)
+static void keep(PyObject **place, PyObject *octets)
 {
-    PyObject *before = self->cogging;
-    self->cogging = octets;
+    PyObject *before = *place;
+    *place = octets;
     if (before != NULL)
         Py_DecRef(before);
 }
@@ -54,7 +54,8 @@ static void discard(PyObject *self)
 {
     PyTypeObject *type = self->type;
     keep_table((InnerLoopsObject *)self, NULL, NULL);
-    keep_cogging((InnerLoopsObject *)self, NULL);
+    keep(&((InnerLoopsObject *)self)->cogging, NULL);
+    keep(&((InnerLoopsObject *)self)->load_table, NULL);
     PyObject_Free(self);
     Py_DecRef((PyObject *)type);
 }
@@ -235,11 +236,67 @@ static PyObject *call_set_cogging(PyObject *self, PyObject *octets)
         return NULL;
     }
     Py_IncRef(octets);
-    keep_cogging((InnerLoopsObject *)self, octets);
+    keep(&((InnerLoopsObject *)self)->cogging, octets);
     Mechanism *mechanism = &loops_of(self)->mechanism;
     mechanism->cogging_nm = torques_nm;
     mechanism->cogging_points = (int)count - 1;
     return nothing();
+}
+
+static PyObject *call_set_load_table(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
+{
+    const double *table;
+    int64_t places, speeds;
+    Py_ssize_t given;
+    if (!takes(count, 3, "set_load_table") || !integer(arguments[0], &places) || !integer(arguments[1], &speeds)
+        || !doubles(arguments[2], &table, &given))
+        return NULL;
+    if (places < 1 || places > INT16_MAX || speeds < 1 || speeds > INT16_MAX
+        || given != places + speeds + places * speeds) {
+        PyErr_Format(PyExc_ValueError, "%lld places, %lld speeds, %zd numbers: n, m, n + m + n m expected",
+                     (long long)places, (long long)speeds, given);
+        return NULL;
+    }
+    Py_IncRef(arguments[2]);
+    keep(&((InnerLoopsObject *)self)->load_table, arguments[2]);
+    PlacedLoad *placed = &loops_of(self)->mechanism.placed;
+    placed->places = (int)places;
+    placed->speeds = (int)speeds;
+    placed->table = table;
+    return nothing();
+}
+
+static bool switch_number(PyObject *given, int64_t *which)
+{
+    if (!integer(given, which))
+        return false;
+    if (*which >= 0 && *which < SWITCHES)
+        return true;
+    PyErr_Format(PyExc_ValueError, "switch %lld: 0..%d expected", (long long)*which, SWITCHES - 1);
+    return false;
+}
+
+static PyObject *call_set_switch(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
+{
+    InnerLoops *loops = loops_of(self);
+    int64_t which;
+    double turns[2];
+    if (!takes(count, 3, "set_switch") || !switch_number(arguments[0], &which) || !numbers(arguments + 1, turns, 2))
+        return NULL;
+    loops->switches.low_turns[which] = turns[0];
+    loops->switches.high_turns[which] = turns[1];
+    loops->switched.watched = 0;
+    return nothing();
+}
+
+static PyObject *call_switch_seen(PyObject *self, PyObject *number)
+{
+    InnerLoops *loops = loops_of(self);
+    int64_t which;
+    if (!switch_number(number, &which))
+        return NULL;
+    double now_s = (double)loops->ticks * loops->motor.period_s;
+    return PyBool_FromLong(switch_seen(&loops->switched, &loops->switches, (int)which, now_s));
 }
 
 static PyObject *call_set_controller(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
@@ -318,6 +375,9 @@ static PyMethodDef methods[] = {
     {"bear", (PyCFunction)(void (*)(void))call_bear, METH_FASTCALL, NULL},
     {"set_controller", (PyCFunction)(void (*)(void))call_set_controller, METH_FASTCALL, NULL},
     {"set_cogging", call_set_cogging, METH_O, NULL},
+    {"set_switch", (PyCFunction)(void (*)(void))call_set_switch, METH_FASTCALL, NULL},
+    {"switch_seen", call_switch_seen, METH_O, NULL},
+    {"set_load_table", (PyCFunction)(void (*)(void))call_set_load_table, METH_FASTCALL, NULL},
     {"advance_motor", (PyCFunction)(void (*)(void))call_advance_motor, METH_FASTCALL, NULL},
     {"state", call_state, METH_NOARGS, NULL},
     {0},
@@ -360,6 +420,23 @@ static PyMemberDef members[] = {
     PARAMETER(mechanism, backward_more_nm),
     PARAMETER(mechanism, breakaway_more_nm),
     PARAMETER(mechanism, per_stribeck),
+    {"placed_load", T_INT, PLACE(mechanism.placed.active), 0, NULL},
+    PARAMETER(mechanism.placed, hanging_nm),
+    PARAMETER(mechanism.placed, arm_nm),
+    PARAMETER(mechanism.placed, arm_per_turn),
+    PARAMETER(mechanism.placed, arm_turns),
+    PARAMETER(mechanism.placed, repeats_turns),
+    {"end_stops", T_INT, PLACE(mechanism.stops.active), 0, NULL},
+    NUMBER("stop_negative_turns", mechanism.stops.negative_turns),
+    NUMBER("stop_positive_turns", mechanism.stops.positive_turns),
+    NUMBER("stop_stiffness_nm_rad", mechanism.stops.stiffness_nm_rad),
+    NUMBER("stop_damping_nm_s", mechanism.stops.damping_nm_s),
+    NUMBER("stop_yield_s", mechanism.stops.yield_s),
+    {"switches", T_INT, PLACE(switches.active), 0, NULL},
+    NUMBER("switch_bounce_s", switches.bounce_s),
+    {"switch_bounces", T_INT, PLACE(switches.bounces), 0, NULL},
+    NUMBER("switch_filter_s", switches.filter_s),
+    {"switch_seed", T_LONGLONG, PLACE(switches.seed), 0, NULL},
     {"supplied", T_INT, PLACE(dc_link.active), 0, NULL},
     {"feeds_back", T_INT, PLACE(dc_link.feeds_back), 0, NULL},
     PARAMETER(dc_link, source_v),
@@ -443,6 +520,8 @@ static PyMemberDef members[] = {
     PARAMETER(shaft, turns),
     NUMBER("load_speed_rad_s", load_side.speed_rad_s),
     NUMBER("twist_rad", load_side.twist_rad),
+    NUMBER("stop_hits", load_side.hits),
+    NUMBER("stop_hit_rad_s", load_side.hit_rad_s),
     NUMBER("voltage_d_v", state.now.voltage_d_v),
     NUMBER("voltage_q_v", state.now.voltage_q_v),
     NUMBER("next_voltage_d_v", state.next.voltage_d_v),

@@ -3,7 +3,7 @@
    The torque of the coupling is k p + d dp/dt in its deflection p, the twist beyond the backlash. A flank can
    only push: it lets go where that torque falls to zero, and takes hold again where the twist crosses the
    backlash or the torque rises anew. What is in contact and what is at rest is told by the state alone, and a
-   step is cut where that changes.
+   step is cut where that changes. An end stop is such a flank, between the load and the machine's bed.
 
    Friction at the speed w: (c + (b - c) / (1 + (w / w_s)^2)) sign w, Coulomb's c, breakaway b: Stribeck's curve
    without an exponential, so that its bits are the same everywhere. A mass at rest stays until what pulls at it
@@ -43,6 +43,7 @@ typedef struct Motion {
 typedef struct Phase {
     double way[MASSES]; /* 1 or -1: the friction is against that; 0: at rest */
     double flank;       /* 1 or -1: the one in contact; 0: none */
+    double stop;        /* the same of the end stops */
 } Phase;
 
 typedef struct Friction {
@@ -57,8 +58,13 @@ typedef struct Machine {
     Friction friction[MASSES];
     bool rubs[MASSES];
     bool changes; /* something can come to rest, or let go */
+    bool placed;  /* the place of the load counts */
     double viscous[MASSES];
     double live, turning, load_nm, angle_rad;
+    LoadSide *load;
+    LoadPlace from;                    /* of the load at the start of the period */
+    double twist_rad;                  /* of the coupling, there */
+    double negative_rad, positive_rad; /* from there to the end stops */
 } Machine;
 
 static double friction_nm(const Machine *s, int mass, double way, double speed)
@@ -87,22 +93,50 @@ static double flank_torque(const Mechanism *m, double flank, double twist, doubl
     return m->stiffness_nm_rad * (twist - flank * m->half_backlash_rad) + m->damping_nm_s * twisting;
 }
 
-/* Torques on each mass but friction, N m. */
-ALWAYS_INLINE void pull(const Machine *s, const Motion *x, double flank, double *net)
+/* Of the load, from the start of the period. */
+static double load_angle(const Machine *s, const Motion *x)
 {
-    double made = motor_torque(s->p, x->current[0], x->current[1]);
+    return s->m->coupled ? x->angle - (x->twist - s->twist_rad) : x->angle;
+}
+
+static double load_speed(const Machine *s, const Motion *x) { return x->speed[s->m->coupled ? LOAD : ROTOR]; }
+
+/* Of the load beyond an end stop, 1 or -1, towards which angles count here; negative before it. */
+static double beyond_stop(const Machine *s, const Motion *x, double stop)
+{
+    return stop * (load_angle(s, x) - (stop > 0.0 ? s->positive_rad : s->negative_rad));
+}
+
+/* What the load's place, speed and end stop put against it, N m. */
+static __attribute__((noinline)) double placed_nm(const Machine *s, const Phase *phase, const Motion *x)
+{
+    double torque_nm = 0.0, speed = load_speed(s, x);
+    if (s->m->placed.active)
+        torque_nm = placed_load_nm(&s->m->placed, &s->from, load_angle(s, x), speed);
+    if (phase->stop != 0.0)
+        torque_nm += phase->stop * s->m->stops.stiffness_nm_rad * beyond_stop(s, x, phase->stop)
+                     + s->m->stops.damping_nm_s * speed;
+    return torque_nm;
+}
+
+/* Torques on each mass but friction, N m. */
+ALWAYS_INLINE void pull(const Machine *s, const Phase *phase, const Motion *x, double *net)
+{
+    double made = motor_torque(s->p, x->current[0], x->current[1]), load_nm = s->load_nm;
     if (s->m->cogging_points > 0)
         made += cogging_nm(s, x->angle);
+    if (s->placed)
+        load_nm += placed_nm(s, phase, x);
     if (!s->m->coupled) {
-        net[ROTOR] = made - s->load_nm - s->viscous[ROTOR] * x->speed[ROTOR];
+        net[ROTOR] = made - load_nm - s->viscous[ROTOR] * x->speed[ROTOR];
         net[LOAD] = 0.0;
         return;
     }
     double twisting = x->speed[ROTOR] - x->speed[LOAD];
-    bool free = flank == 0.0 && s->m->half_backlash_rad > 0.0;
-    double passed = free ? 0.0 : flank_torque(s->m, flank, x->twist, twisting);
+    bool free = phase->flank == 0.0 && s->m->half_backlash_rad > 0.0;
+    double passed = free ? 0.0 : flank_torque(s->m, phase->flank, x->twist, twisting);
     net[ROTOR] = made - passed - s->viscous[ROTOR] * x->speed[ROTOR];
-    net[LOAD] = passed - s->load_nm - s->viscous[LOAD] * x->speed[LOAD];
+    net[LOAD] = passed - load_nm - s->viscous[LOAD] * x->speed[LOAD];
 }
 
 ALWAYS_INLINE double acceleration(const Machine *s, const Phase *phase, int mass, double speed, double net_nm,
@@ -117,7 +151,7 @@ ALWAYS_INLINE double acceleration(const Machine *s, const Phase *phase, int mass
 ALWAYS_INLINE Motion slopes(const Machine *s, const Phase *phase, const Motion *x)
 {
     double net[MASSES];
-    pull(s, x, phase->flank, net);
+    pull(s, phase, x, net);
     double electrical = s->p->pole_pairs * x->speed[ROTOR];
     Motion k = {
         .current = current_slopes(s->p, x->voltage, x->current, electrical, s->live),
@@ -159,44 +193,53 @@ static Motion runge_kutta(const Machine *s, const Phase *phase, const Motion *x,
     return ahead(x, &sum, h * SIXTH);
 }
 
-/* How far a flank is pressed in, rad, where it takes hold: the twist beyond the backlash, once it grows or where
-   the spring pushes harder than the damper pulls. */
-static double hold_rad(const Mechanism *m, double flank, double twist, double twisting)
+/* How far a flank or a stop is pressed in, rad, where it takes hold: what it is beyond, once that grows or where
+   the spring pushes harder than the damper pulls. `rate`: at which it is pressed in. */
+static double hold_rad(double beyond, double rate, double yield_s) { return beyond + yield_s * least(0.0, rate); }
+
+static double flank_hold_rad(const Mechanism *m, double flank, const Motion *x)
 {
-    return flank * twist - m->half_backlash_rad + m->yield_s * least(0.0, flank * twisting);
+    double rate = flank * (x->speed[ROTOR] - x->speed[LOAD]);
+    return hold_rad(flank * x->twist - m->half_backlash_rad, rate, m->yield_s);
+}
+
+static double stop_hold_rad(const Machine *s, double stop, const Motion *x)
+{
+    return hold_rad(beyond_stop(s, x, stop), stop * load_speed(s, x), s->m->stops.yield_s);
 }
 
 /* By how much the friction at rest exceeds what pulls at a mass. */
-static double hold_nm(const Machine *s, const Motion *x, double flank, int mass)
+static double hold_nm(const Machine *s, const Phase *phase, const Motion *x, int mass)
 {
     double net[MASSES];
-    pull(s, x, flank, net);
+    pull(s, phase, x, net);
     return friction_nm(s, mass, net[mass] > 0.0 ? 1.0 : -1.0, 0.0) - fabs(net[mass]);
 }
 
 /* 0: it stays at rest. */
-static double way_from_rest(const Machine *s, const Motion *x, double flank, int mass)
+static double way_from_rest(const Machine *s, const Phase *phase, const Motion *x, int mass)
 {
     double net[MASSES];
-    if (hold_nm(s, x, flank, mass) >= 0.0)
+    if (hold_nm(s, phase, x, mass) >= 0.0)
         return 0.0;
-    pull(s, x, flank, net);
+    pull(s, phase, x, net);
     return net[mass] > 0.0 ? 1.0 : -1.0;
 }
 
 /* The equations that hold at x. */
 static Phase phase_at(const Machine *s, const Motion *x)
 {
-    Phase phase = {{0.0, 0.0}, 0.0};
+    Phase phase = {{0.0, 0.0}, 0.0, 0.0};
     if (s->m->coupled && s->m->half_backlash_rad > 0.0) {
-        double twisting = x->speed[ROTOR] - x->speed[LOAD];
         double flank = x->twist > 0.0 ? 1.0 : -1.0;
-        phase.flank = hold_rad(s->m, flank, x->twist, twisting) >= 0.0 ? flank : 0.0;
+        phase.flank = flank_hold_rad(s->m, flank, x) >= 0.0 ? flank : 0.0;
     }
+    if (s->m->stops.active)
+        phase.stop = stop_hold_rad(s, 1.0, x) >= 0.0 ? 1.0 : stop_hold_rad(s, -1.0, x) >= 0.0 ? -1.0 : 0.0;
     for (int mass = ROTOR; mass <= s->m->coupled; mass++) {
         phase.way[mass] = x->speed[mass] > 0.0 ? 1.0 : -1.0;
         if (x->speed[mass] == 0.0 && s->rubs[mass])
-            phase.way[mass] = way_from_rest(s, x, phase.flank, mass);
+            phase.way[mass] = way_from_rest(s, &phase, x, mass);
     }
     return phase;
 }
@@ -206,16 +249,24 @@ static double margin(const Machine *s, const Phase *phase, const Motion *x)
 {
     double least_yet = INFINITY;
     if (s->m->coupled && s->m->half_backlash_rad > 0.0) {
-        double twisting = x->speed[ROTOR] - x->speed[LOAD];
-        if (phase->flank != 0.0)
-            least_yet = phase->flank * x->twist - s->m->half_backlash_rad + s->m->yield_s * phase->flank * twisting;
+        double flank = phase->flank, twisting = x->speed[ROTOR] - x->speed[LOAD];
+        if (flank != 0.0)
+            least_yet = flank * x->twist - s->m->half_backlash_rad + s->m->yield_s * flank * twisting;
         else
-            least_yet = -most(hold_rad(s->m, 1.0, x->twist, twisting), hold_rad(s->m, -1.0, x->twist, twisting));
+            least_yet = -most(flank_hold_rad(s->m, 1.0, x), flank_hold_rad(s->m, -1.0, x));
+    }
+    if (s->m->stops.active) {
+        double stop = phase->stop;
+        if (stop != 0.0)
+            least_yet =
+                least(least_yet, beyond_stop(s, x, stop) + s->m->stops.yield_s * stop * load_speed(s, x));
+        else
+            least_yet = least(least_yet, -most(stop_hold_rad(s, 1.0, x), stop_hold_rad(s, -1.0, x)));
     }
     for (int mass = ROTOR; mass <= s->m->coupled; mass++) {
         if (s->rubs[mass]) {
             double way = phase->way[mass];
-            least_yet = least(least_yet, way != 0.0 ? way * x->speed[mass] : hold_nm(s, x, phase->flank, mass));
+            least_yet = least(least_yet, way != 0.0 ? way * x->speed[mass] : hold_nm(s, phase, x, mass));
         }
     }
     return least_yet;
@@ -248,15 +299,27 @@ static double length_of_phase(const Machine *s, const Phase *phase, const Motion
     return high;
 }
 
+/* For who asks whether a stop was hit. */
+static void note_stop(LoadSide *load, double stop, double speed)
+{
+    if (stop != 0.0 && load->stop == 0.0) {
+        load->hits += 1.0;
+        load->hit_rad_s = speed;
+    }
+    load->stop = stop;
+}
+
 static void substep(const Machine *s, Motion *x, double h)
 {
     if (!s->changes) {
-        Phase only = {{0.0, 0.0}, 0.0};
+        Phase only = {{0.0, 0.0}, 0.0, 0.0};
         *x = runge_kutta(s, &only, x, h);
         return;
     }
     for (int cut = 0; h > 0.0; cut++) {
         Phase phase = phase_at(s, x);
+        if (s->m->stops.active)
+            note_stop(s->load, phase.stop, load_speed(s, x));
         Motion new = runge_kutta(s, &phase, x, h);
         double over = margin(s, &phase, &new);
         double length = h;
@@ -286,8 +349,19 @@ static Machine machine_of(const MotorParameters *p, const Mechanism *m, double b
         const Friction *f = &s.friction[mass];
         s.rubs[mass] = f->forward_nm != 0.0 || f->backward_nm != 0.0 || f->breakaway_more_nm != 0.0;
     }
-    s.changes = s.rubs[ROTOR] || s.rubs[LOAD] || (m->coupled && m->half_backlash_rad > 0.0);
+    s.placed = m->placed.active || m->stops.active;
+    s.changes = s.rubs[ROTOR] || s.rubs[LOAD] || (m->coupled && m->half_backlash_rad > 0.0) || m->stops.active;
     return s;
+}
+
+static void place_load(Machine *s, const MotorState *state, LoadSide *load)
+{
+    s->load = load;
+    s->twist_rad = s->m->coupled ? load->twist_rad : 0.0;
+    double ahead_rad = state->angle_rad - s->twist_rad; /* of the turns */
+    s->from = place_of(&s->m->placed, state->turns + ahead_rad * PER_TURN);
+    s->negative_rad = (s->m->stops.negative_turns - state->turns) * TURN_RAD - ahead_rad;
+    s->positive_rad = (s->m->stops.positive_turns - state->turns) * TURN_RAD - ahead_rad;
 }
 
 /* One period of the motor and what it turns. */
@@ -303,6 +377,8 @@ void advance_machine(MotorState *state, LoadSide *load, const MotorParameters *p
     s.turning = voltage.turning;
     s.load_nm = load_nm;
     s.angle_rad = state->angle_rad;
+    if (s.placed)
+        place_load(&s, state, load);
     Motion x = {
         .current = {state->current_d_a, state->current_q_a},
         .voltage = {voltage.d, voltage.q},

@@ -1,8 +1,10 @@
-/* Between rotor and load: a coupling that twists, its backlash, friction that depends on the speed, cogging. */
+/* Between rotor and load: a coupling that twists, its backlash, friction that depends on the speed, cogging; and
+   what the load's place asks. */
 #ifndef CORE_MECHANISM_H
 #define CORE_MECHANISM_H
 
 #include "motor.h"
+#include "placed_load.h"
 
 typedef struct Mechanism {
     int active;  /* 0: a rigid shaft with constant friction, motor.c alone */
@@ -18,12 +20,17 @@ typedef struct Mechanism {
     double per_stribeck;      /* s/rad */
     const double *cogging_nm; /* over a turn of the rotor, the first point once more behind the last */
     int cogging_points;       /* 0: no cogging */
+    PlacedLoad placed;        /* as are the stops: at the load's side */
+    EndStops stops;
 } Mechanism;
 
 /* The load behind the coupling. */
 typedef struct LoadSide {
     double speed_rad_s;
     double twist_rad; /* rotor's angle less the load's */
+    double stop;      /* 1 or -1: the load is at an end stop */
+    double hits;      /* of end stops, and the speed at the last one */
+    double hit_rad_s;
 } LoadSide;
 
 void advance_machine(MotorState *state, LoadSide *load, const MotorParameters *p, const Mechanism *mechanism,

@@ -76,6 +76,37 @@ class InnerLoops:
     per_stribeck: float
     """s/rad."""
 
+    # ---- load by place and speed: parameters ----
+    placed_load: int
+    """0: none, and nothing of it counts."""
+    hanging_nm: float
+    arm_nm: float
+    """Torque of an arm that lies level."""
+    arm_per_turn: float
+    """Turns of the arm for each of the motor."""
+    arm_turns: float
+    """Place of the arm at power-on; 0: it hangs down."""
+    repeats_turns: float
+    """Period of the table; 0: it ends."""
+    end_stops: int
+    """0: none."""
+    stop_negative_turns: float
+    """Where it is touched, turns of the motor since power-on; infinite: no stop at that end."""
+    stop_positive_turns: float
+    stop_stiffness_nm_rad: float
+    stop_damping_nm_s: float
+    stop_yield_s: float
+    """Damping over stiffness."""
+
+    # ---- switches: parameters ----
+    switches: int
+    """0: nobody watches them."""
+    switch_bounce_s: float
+    switch_bounces: int
+    """1..8."""
+    switch_filter_s: float
+    switch_seed: int
+
     # ---- DC link: parameters ----
     supplied: int
     """0: the link is a source without end, and nothing of this part counts."""
@@ -187,6 +218,10 @@ class InnerLoops:
     load_speed_rad_s: float
     twist_rad: float
     """Rotor's angle less the load's."""
+    stop_hits: float
+    """How often an end stop has been hit."""
+    stop_hit_rad_s: float
+    """Speed of the load at the last hit."""
 
     # ---- DC link and protection: state ----
     link_v: float
@@ -306,6 +341,17 @@ class InnerLoops:
 
     def set_cogging(self, torques_nm: bytes, /) -> None:
         """Cogging over a turn of the rotor: doubles, the first once more at the end. Error: ValueError."""
+
+    def set_load_table(self, places: int, speeds: int, table: bytes, /) -> None:
+        """Load over place and speed: doubles, the places, turns, and the speeds, rad/s, both rising, and the
+        torques, N m, place by place. Error: ValueError for another count."""
+
+    def set_switch(self, which: int, low_turns: float, high_turns: float, /) -> None:
+        """Where the load makes one of three switches: from the first place on, and before the second, turns
+        of the motor since power-on. Its contact rests at once. Error: ValueError for another switch."""
+
+    def switch_seen(self, which: int, /) -> bool:
+        """Whether the drive sees it made as of the last tick. Error: ValueError for another switch."""
 
     def advance_motor(
         self, voltage_d_v: float, voltage_q_v: float, load_nm: float, turning: float, periods: int, /

@@ -5,6 +5,7 @@
 #include <math.h>
 
 #include "limits.h"
+#include "scattered.h"
 
 #define SQRT_3 1.7320508075688772
 static const double PER_SQRT_3 = 1.0 / SQRT_3;
@@ -24,15 +25,6 @@ static Phases phases_of(Pair stator, double amplitude)
 {
     double a = amplitude * stator[0], half = 0.5 * a, across = 0.5 * SQRT_3 * amplitude * stator[1];
     return (Phases){a, across - half, -across - half};
-}
-
-/* A number of the 64 bits of a counter, each bit with even chances: the finaliser of splitmix64. */
-static uint64_t scattered(uint64_t counter)
-{
-    uint64_t x = counter * 0x9E3779B97F4A7C15u;
-    x = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9u;
-    x = (x ^ (x >> 27)) * 0x94D049BB133111EBu;
-    return x ^ (x >> 31);
 }
 
 /* Of variance 1: four even numbers of 16 bits, whose sum is bell-shaped up to 3.46. */

@@ -76,7 +76,7 @@ def fill_machine(inner: InnerLoops, motor: PmsmParameters, period_s: float) -> N
     substeps = max(1, math.ceil(period_s * fastest_rad_s / _STEP_ANGLE_MAX))
     if motor.mechanism is not None:
         fill_mechanism(inner, motor, motor.mechanism)
-        substeps = max(substeps, steps_in(period_s, motor.mechanism))
+        substeps = max(substeps, steps_in(period_s, motor.mechanism, motor.inertia_kg_m2))
     inner.substeps = substeps
     inner.step_s = period_s / substeps
     inner.per_period = 1.0 / period_s

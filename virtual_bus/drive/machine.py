@@ -7,17 +7,23 @@
     2110h:5,6 home switch, active from the first count to the second
     2110h:7   index pulse, encoder count within each turn
     2110h:8   safe torque off: 1 takes the torque away
+    2110h:9   end stops: how often one was hit, where the motor file has them
+    2110h:10  speed at the last hit, mrad/s
 
-Encoder counts are those since power-on, whatever the units and the home of the drive are. Nothing is fitted
-at first. All of it belongs to the machine: a reset of the node leaves it as it is.
+Encoder counts are those since power-on, whatever the units and the home of the drive are. Fitted at first are
+the switches of the motor file. All of it belongs to the machine: a reset of the node leaves it as it is.
+A contact that bounces, or an input with a filter, is watched by the core, at the load's own angle.
 """
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Final
 
+from servobench.design.mechanism import Mechanism, Switches
 from servobench.drivers.canopen.data_types import DataType
 from servobench.drivers.cia402.objects402 import INTERLOCK, Object
+from servobench.virtual_bus.core.native import InnerLoops, clipped
 from servobench.virtual_bus.device.object_dictionary import Access, ObjectDictionary
 from servobench.virtual_bus.drive.homing_methods import Sensor, SwitchEdge
 
@@ -33,22 +39,29 @@ class SimulatedMachine:
     """Switches and inputs, by encoder count."""
 
     def __init__(
-        self, dictionary: ObjectDictionary, counts_per_revolution: int, count: Callable[[], float]
+        self,
+        dictionary: ObjectDictionary,
+        counts_per_revolution: int,
+        inner: InnerLoops,
+        mechanism: Mechanism | None,
     ) -> None:
-        """``count``: where the encoder stands."""
+        """``inner``: tells where the encoder stands; ``mechanism``: that of the motor, with its switches."""
         self.held = 0
         self.fitted = 0
         self.sto = False
         self.inputs = dictionary.add(
             Object.DIGITAL_INPUTS, "Digital inputs", DataType.UNSIGNED32, Access.READ_ONLY, mappable=True
         )
-        self._count = count
+        self._inner = inner
+        self._watched = inner.switches != 0
         self._counts = counts_per_revolution
         self._places: list[int] = [-_FAR, _FAR, 0, 0, 0]
+        if mechanism is not None and mechanism.switches is not None:
+            self._fit_switches(mechanism.switches)
         self.changed: Callable[[], None] = lambda: None
         """Called after every write of an input or a switch."""
         self.inputs.provider = self.input_bits
-        self._add_objects(dictionary)
+        self._add_objects(dictionary, inner.end_stops != 0)
 
     # ---- what the drive sees --------------------------------------------------------------------------
 
@@ -67,8 +80,10 @@ class SimulatedMachine:
             return True
         if not self.fitted & bit:
             return False
+        if self._watched:
+            return self._inner.switch_seen(sensor.value)
         low, high = self._stretch(sensor)
-        return low <= self._count() < high
+        return low <= self._inner.count < high
 
     @property
     def has_limits(self) -> bool:
@@ -100,9 +115,23 @@ class SimulatedMachine:
             return float(positive), math.inf
         return float(home_from), home_to + 1.0
 
+    def _fit_switches(self, switches: Switches) -> None:
+        ends = switches.negative_turns, switches.positive_turns, *(switches.home_turns or (None, None))
+        for place, turns in enumerate(ends):
+            if turns is not None:
+                self.fitted |= 1 << min(place, Sensor.HOME.value)
+                self._places[place] = clipped(turns * self._counts, 32)
+        self._place_switches()
+
+    def _place_switches(self) -> None:
+        """For the core, which watches them at the load's own angle."""
+        for sensor in Sensor:
+            low, high = self._stretch(sensor)
+            self._inner.set_switch(sensor.value, low / self._counts, high / self._counts)
+
     # ---- objects --------------------------------------------------------------------------------------
 
-    def _add_objects(self, dictionary: ObjectDictionary) -> None:
+    def _add_objects(self, dictionary: ObjectDictionary, stops: bool) -> None:
         record = dictionary.add_record(MACHINE, "Simulated machine")
 
         def add(
@@ -128,6 +157,14 @@ class SimulatedMachine:
             add(3 + place, name, DataType.INTEGER32, None, self._reader(place), self._writer(place))
         add(7, "Index pulse", DataType.UNSIGNED32, self._counts - 1, self._reader(4), self._writer(4))
         add(8, "Safe torque off", DataType.UNSIGNED8, 1, lambda: int(self.sto), self.switch_sto)
+        if stops:
+            tells = partial(record.add, access=Access.READ_ONLY, mappable=True, stored=False)
+            tells(9, "End stops hit", DataType.UNSIGNED32, provider=lambda: int(self._inner.stop_hits))
+            tells(10, "Speed at the last hit", DataType.INTEGER32, provider=self._hit_speed)
+
+    def _hit_speed(self) -> int:
+        """mrad/s."""
+        return clipped(1000.0 * self._inner.stop_hit_rad_s, 32)
 
     def _reader(self, place: int) -> Callable[[], int]:
         return lambda: self._places[place]
@@ -135,6 +172,7 @@ class SimulatedMachine:
     def _writer(self, place: int) -> Callable[[int], None]:
         def write(count: int) -> None:
             self._places[place] = count
+            self._place_switches()
             self.changed()
 
         return write

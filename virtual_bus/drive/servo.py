@@ -43,7 +43,13 @@ from servobench.virtual_bus.drive.operation_modes import MODES
 from servobench.virtual_bus.drive.power_stage import TRIP_CODES, Trip
 from servobench.virtual_bus.drive.power_state import MotorAction, PowerStateMachine
 from servobench.virtual_bus.drive.servo_objects import ServoObjects
-from servobench.virtual_bus.drive.servo_parameters import DriveParameters, device_options, sensor_seed
+from servobench.virtual_bus.drive.servo_parameters import (
+    SENSOR_NOISE,
+    SWITCH_BOUNCES,
+    DriveParameters,
+    device_options,
+    seed_of,
+)
 from servobench.virtual_bus.drive.simulated_load import SimulatedLoad
 from servobench.virtual_bus.drive.user_units import UserUnits
 
@@ -83,7 +89,7 @@ class ServoApplication(Application):
         counts = self.drive.encoder_counts_per_revolution
         makers = self.drive.makers_units
         self.units = UserUnits(dictionary, counts, lambda: self._motion is MotorAction.OFF, makers)
-        self.machine = SimulatedMachine(dictionary, counts, lambda: self.firmware.inner.count)
+        self.machine = SimulatedMachine(dictionary, counts, self.firmware.inner, self.motor.mechanism)
         self.axis = SimulatedAxis(self.firmware, objects, motion, self.units, self.machine, self.fail)
         self._modes: dict[int, OperationMode] = {int(mode): make(self.axis) for mode, make in MODES.items()}
         self._mode = self._modes[objects.mode.default]
@@ -387,5 +393,7 @@ class SimulatedServo(CanopenDevice):
         Error: ValueError for a lack that cannot be."""
         drive = drive or DriveParameters()
         self.drive = ServoApplication(motor, drive)
-        self.drive.firmware.inner.sensor_seed = sensor_seed(node_id, seed)
+        inner = self.drive.firmware.inner
+        inner.sensor_seed = seed_of(node_id, seed, SENSOR_NOISE)
+        inner.switch_seed = seed_of(node_id, seed, SWITCH_BOUNCES)
         super().__init__(node_id, self.drive, device_options(node_id, drive, seed), store, vendor)

@@ -31,8 +31,9 @@ SERVO_DRIVE: Final = 0x0002_0192
 _CLOCK_RANGE_US: Final = 1 << 32
 """Range of 1013h, an UNSIGNED32."""
 
-_SENSOR_NOISE: Final = 1
+SENSOR_NOISE: Final = 1
 """Its stream; that of the clock's offset has no number."""
+SWITCH_BOUNCES: Final = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,9 +105,9 @@ def _ns(value_us: float) -> int:
     return round(value_us * NS_PER_US)
 
 
-def sensor_seed(node_id: int, seed: int) -> int:
-    """Return the seed of the noise of a drive's current sensors."""
-    return int(np.random.Generator(np.random.PCG64([seed, node_id, _SENSOR_NOISE])).integers(1 << 62))
+def seed_of(node_id: int, seed: int, stream: int) -> int:
+    """Return the seed of what is random in the core of a drive."""
+    return int(np.random.Generator(np.random.PCG64([seed, node_id, stream])).integers(1 << 62))
 
 
 def device_options(node_id: int, drive: DriveParameters, seed: int) -> DeviceOptions:

@@ -22,6 +22,9 @@ KEY = "drive.axis1.controller.made_for"
 SIMULATION = "drive.axis1.simulation"
 WORSE = "axis1: the network is worse than its controller's: "
 FLEXIBLE = LING2012.tables | {"coupling": {"inertia_ratio": 4.0, "antiresonance_hz": 60.0}}
+ON_AN_ARM = LING2012.tables | {
+    "load": {"arm": {"torque_nm": 0.5}, "end_stops": {"positive_rad": 9.0, "stiffness_nm_rad": 80.0}}
+}
 GOOD = {"period_us": 2000, "losses_in_a_row_max": 3, "delay_max_us": 1000}
 
 
@@ -318,6 +321,16 @@ PLAN = CertifiedPlan(
             MADE_FOR,
             {"simulation": {"motor": FLEXIBLE}},
             {"left": (f"{SIMULATION}.motor.coupling: resonance at 134 Hz, expected a rigid shaft",)},
+        ),
+        (
+            MADE_FOR,
+            {"simulation": {"motor": ON_AN_ARM}},
+            {
+                "left": (
+                    f"{SIMULATION}.motor.load: arm, end_stops, expected a load torque that no place or speed "
+                    "changes",
+                )
+            },
         ),
         (without("current_loop", "plant"), {}, {"bandwidths_hz": None}),
     ],

@@ -4,10 +4,12 @@ import math
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from servobench.design.mechanism import Side
 from servobench.design.motor import Transform, motor_figures
 from servobench.drivers.errors import BadInput
+from servobench.hil.cli import app
 from servobench.hil.configuration.config_files import BadInputs
 from servobench.hil.configuration.motor_file import LING2012, MotorFile, load_motor, speed_max_rpm
 
@@ -125,6 +127,101 @@ def test_a_coupling_parts_the_inertia_and_has_its_resonances(tmp_path: Path) -> 
     assert figures["resonance_hz"] == pytest.approx(80.0 * math.sqrt(5.0))
     assert figures["breakaway_percent_of_rated"] == pytest.approx(5.0)
     assert figures["cogging_percent_of_rated"] == pytest.approx(1.0)
+
+
+PLACED = """
+[load]
+hanging_nm = 0.3
+
+[load.arm]
+torque_nm = 0.5
+ratio = 20.0
+phase_deg = 90.0
+
+[load.table]
+position_rad = [0.0, 3.0, 6.0]
+speed_rpm = [-100.0, 100.0]
+torque_nm = [[0.0, 0.1], [0.1, 0.4], [0.0, 0.1]]
+repeats = true
+
+[load.end_stops]
+positive_rad = 200.0
+stiffness_nm_rad = 80.0
+
+[switches]
+negative_rad = -9.0
+home_from_rad = 1.0
+home_to_rad = 2.0
+bounce_us = 1000.0
+"""
+
+
+def placed(tmp_path: Path, old: str = "[load]", new: str = "[load]") -> Path:
+    assert PLACED.count(old) == 1
+    path = tmp_path / "motor.toml"
+    path.write_text((EXAMPLES / "ling2012.toml").read_text() + PLACED.replace(old, new))
+    return path
+
+
+def test_a_load_and_its_switches_have_their_places(tmp_path: Path) -> None:
+    written = load_motor(placed(tmp_path))
+    motor = written.parameters
+    assert motor.mechanism is not None
+    load, switches = motor.mechanism.load, motor.mechanism.switches
+    assert load is not None
+    assert switches is not None
+    assert load.arm is not None
+    assert (load.hanging_nm, load.arm.ratio) == (0.3, 20.0)
+    assert load.arm.phase_rad == pytest.approx(math.pi / 2)
+    assert load.table is not None
+    assert load.table.turns == pytest.approx((0.0, 3.0 / math.tau, 6.0 / math.tau))
+    assert load.table.speeds_rad_s == pytest.approx((-100.0 * math.tau / 60.0, 100.0 * math.tau / 60.0))
+    assert load.stops is not None
+    assert load.stops.negative_turns is None
+    assert load.stops.positive_turns == pytest.approx(200.0 / math.tau)
+    assert switches.home_turns == pytest.approx((1.0 / math.tau, 2.0 / math.tau))
+    assert switches.positive_turns is None
+    figures = motor_figures(motor)
+    assert figures["hanging_percent_of_rated"] == pytest.approx(15.0)
+    assert figures["arm_percent_of_rated"] == pytest.approx(25.0)
+    assert figures["arm_swings_hz"] == pytest.approx(math.sqrt(0.5 / 20.0 / 0.0008) / math.tau)
+    assert figures["table_peak_percent_of_rated"] == pytest.approx(20.0)
+    assert figures["stop_hz"] == pytest.approx(math.sqrt(80.0 / 0.0008) / math.tau)
+    assert MotorFile.model_validate(written.tables) == written
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "expected"),
+    [
+        ("ratio = 20.0", "ratio = 0.0", "load.arm.ratio", "a value >= 0.001"),
+        ("3.0, 6.0", "6.0, 3.0", "load.table", "position_rad rising"),
+        ("[0.1, 0.4], ", "", "load.table", "torque_nm of 3 rows of 2, a row for each position"),
+        ("[[0.0, 0.1]", "[[0.2, 0.1]", "load.table", "the last row of torque_nm as the first"),
+        ("positive_rad = 200.0", "", "load.end_stops", "negative_rad, positive_rad or both"),
+        (
+            "= 200.0",
+            "= 200.0\nnegative_rad = 201.0",
+            "load.end_stops",
+            "negative_rad below positive_rad = 200",
+        ),
+        ("rad = 80.0", "rad = 1e7", "load", "a frequency on the stop of at most 5000 Hz, this is 17794 Hz"),
+        ("home_to_rad = 2.0", "", "switches", "home_from_rad and home_to_rad, or neither"),
+        ("home_to_rad = 2.0", "home_to_rad = 0.5", "switches", "home_from_rad up to home_to_rad = 0.5"),
+        ("bounce_us", "bounce_ms", "switches.bounce_ms", "bounce_us"),
+    ],
+)
+def test_what_no_load_can_be_is_refused(tmp_path: Path, old: str, new: str, key: str, expected: str) -> None:
+    with pytest.raises((BadInput, BadInputs)) as refused:
+        load_motor(placed(tmp_path, old, new))
+    assert str(tmp_path / "motor.toml") in str(refused.value)
+    assert f": {key}: " in str(refused.value)
+    assert expected in str(refused.value)
+
+
+def test_a_design_says_that_it_knows_no_place(tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["design", "pid", str(placed(tmp_path)), "--current-bandwidth-hz", "800"])
+    assert done.exit_code == 0
+    assert "a load that no place changes is assumed, arm, table, end_stops of [load] left out" in done.stderr
 
 
 def test_a_rigid_motor_has_no_mechanism_and_its_tables_no_key_of_one(tmp_path: Path) -> None:

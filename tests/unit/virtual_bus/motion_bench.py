@@ -3,11 +3,13 @@
 from collections.abc import Callable, Sequence
 from struct import pack
 
+from servobench.design.motor import PmsmParameters
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode, State, Status
 from servobench.virtual_bus.drive.machine import MACHINE
 from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from servobench.virtual_bus.frame import Frame
+from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ServoBench
 
 COUNTS = 65_536
@@ -27,8 +29,15 @@ INPUTS_HELD, SWITCHES, NEGATIVE, POSITIVE, HOME_FROM, HOME_TO, INDEX, STO = rang
 class MotionBench(ServoBench):
     """Set-points in turns, turns/s and turns/s^2; RPDO2 carries a controlword and 607Ah, RPDO3 60FFh."""
 
-    def __init__(self, mode: Mode, drive: DriveParameters | None = None, *, enabled: bool = True) -> None:
-        super().__init__(drive)
+    def __init__(
+        self,
+        mode: Mode,
+        drive: DriveParameters | None = None,
+        *,
+        enabled: bool = True,
+        motor: PmsmParameters = LING,
+    ) -> None:
+        super().__init__(drive, motor=motor)
         self.set(Object.MODES_OF_OPERATION, "b", mode)
         if enabled:
             self.enable()

@@ -3,6 +3,7 @@
 import struct
 from collections.abc import Callable
 
+from servobench.design.motor import PmsmParameters
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import CONTROLWORDS, DriveCommand, State, state_of
 from servobench.drivers.timebase import NS_PER_MS, Instant
@@ -19,15 +20,17 @@ ENABLE = (DriveCommand.SHUTDOWN, DriveCommand.SWITCH_ON, DriveCommand.ENABLE_OPE
 class ServoBench:
     """Node 1 on [Ling2012]'s motor, powered on and OPERATIONAL, fed frame by frame."""
 
-    def __init__(self, drive: DriveParameters | None = None, seed: int = 1) -> None:
+    def __init__(
+        self, drive: DriveParameters | None = None, seed: int = 1, motor: PmsmParameters = LING
+    ) -> None:
         self.now = Instant(0)
         self.sent: list[Frame] = []
-        self._drive, self._seed = drive, seed
+        self._drive, self._seed, self._motor = drive, seed, motor
         self.power_on()
 
     def power_on(self, vendor: Callable[[ObjectDictionary], None] | None = None) -> None:
         """A drive in the place of the one before, if there was one."""
-        self.servo = SimulatedServo(1, LING, self._drive, self._seed, vendor=vendor)
+        self.servo = SimulatedServo(1, self._motor, self._drive, self._seed, vendor=vendor)
         self.sent += self.servo.start(self.now)
         self.nmt(1)
 

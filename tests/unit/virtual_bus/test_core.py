@@ -24,7 +24,8 @@ spec = spec_from_loader(name, ExtensionFileLoader(name, os.environ["CORE"]))
 sys.modules[name] = module_from_spec(spec)
 from servobench.drivers.timebase import Instant
 from tests.motors import AZAIZ
-from servobench.design.mechanism import CoggingHarmonic, Coupling, Friction, Mechanism
+from servobench.design.mechanism import Arm, CoggingHarmonic, Coupling, EndStops, Friction, LoadMap
+from servobench.design.mechanism import Mechanism, PlacedLoad, Switches
 from servobench.virtual_bus.drive.encoder import Encoder, SineErrors, SpeedMethod, SpeedSensing
 from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
 from servobench.virtual_bus.drive.power_stage import CurrentSensors, Inverter
@@ -33,6 +34,10 @@ rigid = replace(AZAIZ, coulomb_friction_nm=0.1)
 real = Mechanism(
     Coupling(5e-4, 6e-4, 300.0, 0.02, 0.002), Friction(0.3, 2.0, 0.15), (CoggingHarmonic(24, 0.2, 1.0),)
 )
+torques = (0.1, 0.2, 0.3), (0.0, -0.2, 0.4), (0.1, 0.2, 0.3)
+table = LoadMap((0.0, 0.5, 2.0), (-40.0, 0.0, 90.0), torques, True)
+placed = PlacedLoad(0.2, Arm(0.7, 1.3, 0.4), table, EndStops(-2.0, 3.0, 200.0, 0.1))
+ended = replace(real, load=placed, switches=Switches(-1.5, 2.5, (0.3, 0.7), 0.002))
 seen = FirmwareParameters(
     encoder=Encoder(512, SineErrors(0.02, -0.01, 0.01, 0.02), 1e-3, 0.5, 2e-5),
     speed=SpeedSensing(SpeedMethod.EDGES, 900.0, 1e8),
@@ -40,8 +45,9 @@ seen = FirmwareParameters(
     current_sensors=CurrentSensors(20.0, 12, 0.01, -0.01, 0.1, 0.05, 0.02),
 )
 followed = replace(seen, speed=SpeedSensing(SpeedMethod.OBSERVER, None))
-flexible = replace(rigid, mechanism=real)
-for motor, parameters in ((rigid, FirmwareParameters()), (flexible, seen), (flexible, followed)):
+flexible, between = replace(rigid, mechanism=real), replace(rigid, mechanism=ended)
+drives = (rigid, FirmwareParameters()), (flexible, seen), (flexible, followed), (between, seen)
+for motor, parameters in drives:
     firmware = Firmware(motor, parameters)
     now = 0
     for step in range(30):
@@ -96,7 +102,7 @@ def states(core: Path) -> list[str]:
 def test_the_same_bits_from_every_compiler_at_every_optimisation(tmp_path: Path) -> None:
     """No fused product, no reordered sum, no library function: so the bits are the same on any machine."""
     used = states(ROOT / "virtual_bus" / "core" / LIBRARY)
-    assert len(set(used)) == len(used) == 90
+    assert len(set(used)) == len(used) == 120
     for name, compiler in COMPILERS.items():
         for level in ("-O0", "-O3"):
             core = built(tmp_path / f"{name}{level}.so", compiler, level)
