@@ -294,7 +294,12 @@ class Section(BaseModel):
     """A table of a file of the bench: immutable, without unknown keys, silent conversion or nan."""
 
     model_config = ConfigDict(
-        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, arbitrary_types_allowed=True
+        frozen=True,
+        extra="forbid",
+        strict=True,
+        allow_inf_nan=False,
+        arbitrary_types_allowed=True,
+        defer_build=True,  # until a file is read: what a file holds is built with it, once
     )
 
 

@@ -17,7 +17,6 @@ from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute
 from numpy.typing import NDArray
 
 from servobench.drivers.errors import BadInput
@@ -311,8 +310,11 @@ def _check_values(path: Path, place: str, batch: pa.RecordBatch) -> None:
         values, where = batch.column(name), f"{place}, column {name}"
         if values.null_count and name in _NEVER_NULL:
             raise BadInput(str(path), where, f"{values.null_count} nulls", "a value in each row", _DAMAGED)
-        ends = pa.compute.min_max(values).as_py() if count and len(values) else {}
-        for code in ends.values():
+        if not count or not len(values):
+            continue
+        from pyarrow.compute import min_max  # as slow to import as all else of pyarrow, and only read here
+
+        for code in min_max(values).as_py().values():
             if code is not None and not 0 <= code < count:
                 raise BadInput(str(path), where, code, f"0 to {count - 1}", _DAMAGED)
 

@@ -76,10 +76,10 @@ def why(
 
 def brief_lines(summary: "Summary") -> Iterator[str]:
     """For the end of a run that did not pass: a line for each place, and the command that shows it."""
-    from servobench.hil.recorded.explanation import brief
-
     if summary.verdict.passed or not summary.verdict.findings or not summary.recording:
         return
+    from servobench.hil.recorded.explanation import brief  # pyarrow, which a run that passed does without
+
     folder = Path(summary.recording)
     told = brief(summary, folder)
     for place in told.places:

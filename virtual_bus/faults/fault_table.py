@@ -152,7 +152,7 @@ class RangeRule(NamedTuple):
 class FaultTable(BaseModel):
     """A table of a fault plan: immutable, no key unknown, no silent conversion, no nan."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
     kind: ClassVar[str]
     """Name of its tables."""
     logs: ClassVar[tuple[LogKind, ...]] = ()

@@ -162,3 +162,21 @@ def test_from_python_the_extra_is_named_too(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setitem(sys.modules, "scipy.stats", None)
     with pytest.raises(MissingExtra, match=r"servobench campaign needs the extra campaign \(scipy"):
         _ = servobench.campaign
+
+
+def test_a_run_that_writes_no_files_loads_neither_arrow_nor_an_extra() -> None:
+    program = (
+        "import sys; from servobench.hil.cli import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "print(sorted({'pyarrow', 'rerun', 'scipy', 'matplotlib'} & set(sys.modules)), file=sys.stderr)"
+    )
+    command = [
+        sys.executable,
+        "-c",
+        program,
+        "run",
+        str(ROOT / "examples" / "position_csp.toml"),
+        "--no-record",
+    ]
+    assert subprocess.run(command, capture_output=True, text=True).stderr.splitlines()[-1] == "[]"
