@@ -25,6 +25,8 @@ What `from servobench import ...` has. Everything else may change from one versi
 _drawn = runpy.run_path(str(ROOT / "docs/site/mathematics.py"))["drawn"]
 _UPWARDS = re.compile(r"\[([^\]]+)\]\(((?:\.\./)+)(?!#)([^)]+)\)")
 """A link that leaves its folder: to another page, or to a file of the repository that is none."""
+_CODE = re.compile(r"<code>[^<\n]*</code>")
+_OPTION = re.compile(r"(?<![\w-])(--[\w-]+)")
 _OF_README = re.compile(r"\]\((?:docs/([^)]+)|([^):#]+))\)")
 
 
@@ -54,11 +56,15 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
 
 
 def on_page_content(html: str, page: Page, **_: Any) -> str:
-    """Draw the formulas."""
+    """Draw the formulas; options are broken nowhere, names of tables behind their points."""
     try:
-        return str(_drawn(html))
+        drawn = str(_drawn(html))
     except ValueError as error:
         raise PluginError(f"{page.file.src_path}: {error}") from error
+    for entry in page.toc:
+        for each in (entry, *entry.children):
+            each.title = each.title.replace(".", ".<wbr>") if each.title.startswith("[") else each.title
+    return _CODE.sub(lambda code: _OPTION.sub(r'<span class="option">\1</span>', code[0]), drawn)
 
 
 def _readme_link(found: re.Match[str]) -> str:

@@ -111,7 +111,7 @@ def commands_page() -> str:
         lines += [f"## {' '.join(words)}", "", text, ""]
         rows = [_parameter(item) for item in command.params if item.name != "help"]
         if rows:
-            lines += ["| option | |", "|---|---|", *rows, ""]
+            lines += ["| option | meaning |", "|---|---|", *rows, ""]
     return "\n".join(lines)
 
 

@@ -31,6 +31,7 @@ from servobench.hil.write_lists import RESTORE
 
 _BIT_RATES: Final = range(10_000, 1 << 32)
 VERSION = 1
+_LINE: Final = "a line of a journal"
 """Version of its lines; any other one is refused."""
 COMMANDS: Final = frozenset({Object.CONTROLWORD, Cia301.STORE_PARAMETERS, Cia301.RESTORE_DEFAULTS})
 """A write to these is a command, not a setting: there is nothing to restore."""
@@ -164,8 +165,12 @@ def read_journal(path: Path) -> JournalContents:
 
     A torn line is a change that was never made: it was to be on the disk first.
     """
-    lines = read_lines(path, "journal", NamedBy("JOURNAL", "", str(path)))
+    lines = list(read_lines(path, "journal", NamedBy("JOURNAL", "", str(path))))
     whole = [line for line in lines if line.endswith("\n")]
+    if lines and not lines[0].lstrip().startswith("{"):
+        expected = "journal.jsonl, which hil commission and hil measure write into their folder"
+        found = "a TOML file" if path.suffix == ".toml" else "another file"
+        raise BadInput(str(path), "", found, expected, "hil restore FOLDER/journal.jsonl")
     records = list(_records(path, whole))
     if not records or "journal" not in records[0]:
         raise BadInput(str(path), "line 1", MISSING if not records else records[0], "the head of a journal")
@@ -181,10 +186,9 @@ def read_journal(path: Path) -> JournalContents:
 
 def _records(path: Path, lines: list[str]) -> Iterator[dict[str, Any]]:
     for number, line in enumerate(lines, start=1):
-        what = "a line of a journal: journal.jsonl of a commissioning or of a measurement"
-        record = parse_json(line, str(path), what, f"line {number}")
+        record = parse_json(line, str(path), _LINE, f"line {number}")
         if not isinstance(record, dict):
-            raise BadInput(str(path), f"line {number}", line[:60], "a line of a journal")
+            raise BadInput(str(path), f"line {number}", line[:60], _LINE)
         yield record
 
 

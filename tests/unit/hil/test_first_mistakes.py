@@ -31,7 +31,10 @@ def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("view bench.toml", "expected the folder of a recording"),
         ("trace .", "found 'no records.arrow', expected the folder of a recording"),
         ("review bench.toml", "bench.toml: found 'a file', expected the folder of a recording"),
-        ("restore bench.toml", "expected a line of a journal: journal.jsonl of a commissioning"),
+        (
+            "restore bench.toml",
+            "bench.toml: found 'a TOML file', expected journal.jsonl, which hil commission",
+        ),
         ("commission --bus hub:x", "Missing option '--node'. Expected: The drive's node id."),
         (
             "commission --bus hub:x --node 1 --out c --motor motor.toml",
