@@ -7,8 +7,8 @@ A block of commands is fenced as ``sh``. What the tests do with it says the comm
 none
     it needs hardware, root or long, and is held against the program: commands, options and their values.
 
-A command ends with status 0 unless the comment behind it says ``# status N``; one that ends with ``&`` has
-to say that Ctrl-C ends it before the next begins. Of a block of another language
+A command ends with status 0 unless the comment behind it says ``# status N``; behind one that ends with ``&``
+the next begins at once, as in a shell. Of a block of another language
 
 ``<!-- file NAME -->``, ``<!-- append NAME -->``
     is what the user is asked to write into that file, or to its end,
@@ -112,12 +112,7 @@ def _held(line: str, number: int) -> str:
     wanted = int(found[1]) if (found := _STATUS.search(line)) else 0
     told = shlex.quote(command)
     if command.endswith("&"):
-        return (
-            f"{command[:-1]} >served.{number} 2>&1 &\n"
-            f"until grep -q 'Ctrl-C ends it' served.{number}; do\n"
-            f"  kill -0 $! || {{ cat served.{number}; echo ended early: {told}; exit 1; }}; sleep 0.05\n"
-            f"done\ndid {told}"
-        )
+        return f"{command[:-1]} >served.{number} 2>&1 &\ndid {told}"
     return (
         f"{command}\n"
         f"status=$?; [ $status -eq {wanted} ] || {{ echo status $status, not {wanted}: {told}; exit 1; }}\n"

@@ -143,10 +143,8 @@ class BusScan:
         for node_id in sorted(self._knock()):
             self._read_already.add(node_id)
             self._read(self._node(node_id))
-        for node_id, node in self.nodes.items():
-            if self.traffic.masters_on(node_id):
-                node.note = "not asked: another master uses its SDO channel"
         self._take_states()
+        self._note_masters()
 
     def read_booted(self) -> None:
         """Read the nodes that were booting when asked, and have sent their boot-up message since."""
@@ -156,6 +154,7 @@ class BusScan:
                 self._read_already.add(node_id)
                 self._read(self._node(node_id))
         self._take_states()
+        self._note_masters()
 
     def found(self) -> list[NodeFound]:
         """Return the nodes, by number."""
@@ -236,6 +235,11 @@ class BusScan:
             return self._network.upload(node_id, index, sub, SDO_TIMEOUT_S, SDO_ATTEMPTS)
         except TransferAborted:
             return None
+
+    def _note_masters(self) -> None:
+        for node_id, node in self.nodes.items():
+            if self.traffic.masters_on(node_id):
+                node.note = "not asked: another master uses its SDO channel"
 
     def _take_states(self) -> None:
         """Enter the states from heartbeats; else from a node's behaviour (CiA 301 7.3.2.2.6, table of

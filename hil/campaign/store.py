@@ -236,14 +236,14 @@ _COUNTS: Final = {
 _TOLD: Final = {
     "weight": (pa.float64(), "of its draw: by how much the sweep's distributions have it more often"),
     "counts": (pa.bool_(), "whether it counts for the rate; not while adaptive draws are learning"),
-    "outcome": (pa.string(), "what it came to, docs/exit-status.md"),
+    "outcome": (pa.string(), "what it came to, hil docs exit-status"),
     "passed": (pa.bool_(), "whether all that was asked was kept in a valid run"),
     "completed": (pa.bool_(), "whether all planned cycles were run"),
     "reason": (pa.string(), "the findings of the outcome, in words"),
-    "certificate": (pa.string(), "what it says of the certificate, docs/verdict.md; empty: there is none"),
+    "certificate": (pa.string(), "what it says of the certificate, hil docs verdict; empty: there is none"),
     "premises_left": (pa.string(), "what the certificate presumes and was not so"),
     "premises_unknown": (pa.string(), "what the certificate presumes and nobody knows"),
-    "digest": (pa.string(), "BLAKE2b over the rows of its cycles, docs/recording.md"),
+    "digest": (pa.string(), "BLAKE2b over the rows of its cycles, hil docs recording"),
 }
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict, dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import can
 
@@ -11,7 +11,7 @@ from servobench.drivers.canopen.bus_scan import BusScan, NodeFound, Traffic
 from servobench.drivers.canopen.lss import LssAddress, LssMaster
 from servobench.drivers.canopen.network import CanopenNetwork
 from servobench.drivers.errors import MISSING, BadInput, BusDown, NoAnswer, PeerFault
-from servobench.drivers.timebase import Duration, MonotonicClock
+from servobench.drivers.timebase import Clock, Duration, MonotonicClock
 from servobench.drivers.wire.adapters import HUB, SOCKETCAN, BusSpec, OpenBus, open_bus
 from servobench.drivers.wire.attached import (
     CanLink,
@@ -26,6 +26,8 @@ from servobench.drivers.wire.attached import (
 from servobench.drivers.wire.link import BusLink, StampSource
 from servobench.virtual_bus.bus.hub import HubBus
 from servobench.virtual_bus.bus.hub_place import HubPlace, known_hubs
+
+_NO_WAIT: Final = Duration(0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +65,8 @@ class ScanPlan:
     """Node-IDs for the devices that have none, in the order in which they are found."""
     store: bool = False
     """They are to keep their node-IDs without power."""
+    wait: Duration = _NO_WAIT
+    """Look again for so long, until a node is there."""
 
 
 @dataclass(slots=True)
@@ -77,6 +81,11 @@ class BusReport:
     unconfigured: list[LssAddress] = field(default_factory=list)
     assigned: list[tuple[int, LssAddress]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+
+    def somebody(self, passive: bool) -> bool:
+        """True if a device has answered; ``passive``: if one was heard."""
+        read = any(passive or node.device_type is not None for node in self.nodes)
+        return read or bool(self.unconfigured or self.assigned)
 
     def as_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -117,9 +126,23 @@ def scan_bus(plan: ScanPlan, say: Callable[[str], None]) -> BusReport:
     """
     if plan.passive and plan.assign:
         raise BadInput("--assign", "", plan.assign[0], "a scan that may send", "leave --passive out")
+    clock = MonotonicClock()
+    ends = clock.now() + plan.wait
+    while True:
+        try:
+            report = _look_once(plan, clock, say)
+        except NoAnswer:
+            if clock.now() >= ends:
+                raise
+        else:
+            if report.somebody(plan.passive) or clock.now() >= ends:
+                return report
+        say("nobody has answered: looking again")
+
+
+def _look_once(plan: ScanPlan, clock: Clock, say: Callable[[str], None]) -> BusReport:
     opened = open_to_look(plan, say)
     report = BusReport(str(plan.spec), opened.bitrate_bit_s, opened.detected)
-    clock = MonotonicClock()
     try:
         link = BusLink(opened.bus.bus, clock, opened.bus.stamps, str(plan.spec))
         network = CanopenNetwork(link, clock)

@@ -58,9 +58,10 @@ class Machine:
     """The kernel's release, as ``uname -r`` says it."""
     cpu_count: int = field(default_factory=lambda: len(os.sched_getaffinity(0)))
     """Processors that this process may use."""
-
     is_root: bool = field(default_factory=lambda: os.geteuid() == 0)
     """True if commands need no sudo."""
+    in_checkout: bool = field(default_factory=lambda: (compiled.ROOT / ".ci").is_dir())
+    """True if this program is its own sources, with their scripts and tests."""
 
     def path(self, *parts: str) -> Path:
         """Return a path below the root, e.g. ``path("sys", "class", "net")``."""
@@ -111,8 +112,8 @@ def socketcan(machine: Machine) -> Look:
         return Look(f"kernel {machine.release}")
     if _module_exists(machine, "can-raw"):
         return Look("built as a module, not loaded", "sudo modprobe can-raw")
-    detail = f"kernel {machine.release} has none"
-    return Look(detail, f"{INSTEAD}, or .ci/uml/run -- COMMAND")
+    remedy = f"{INSTEAD}, or .ci/uml/run -- COMMAND" if machine.in_checkout else INSTEAD
+    return Look(f"kernel {machine.release} has none", remedy)
 
 
 def kernel_has_can() -> bool:
@@ -218,7 +219,7 @@ def serial_ports(_machine: Machine) -> Look:
 
 
 def user_mode_linux(machine: Machine) -> Look:
-    """Check that a kernel with SocketCAN can be started as a process, for the tests."""
+    """Check that a kernel with SocketCAN can be started as a process, for the tests of a checkout."""
     if kernel := machine.program("linux.uml"):
         return Look(kernel)
     return Look("not installed", "sudo apt-get install user-mode-linux kmod iproute2 gcc libc6-dev")
@@ -238,7 +239,6 @@ DISK_MIN_BYTES = 2 << 30
 """An hour's recording at 1 kHz with raw frames, with room to spare."""
 CPU_COUNT_MIN = 2
 """One for the loop alone."""
-
 LIMITS_FILE = "/etc/security/limits.d/servobench.conf"
 
 
@@ -369,6 +369,8 @@ def run_checks(machine: Machine | None = None) -> list[Capability]:
     machine = machine or Machine()
     checks = []
     for name, needed_for, look in CHECKS:
+        if look is user_mode_linux and not machine.in_checkout:
+            continue
         detail, remedy = look(machine)
         remedy = remedy.replace("sudo ", "") if machine.is_root else remedy
         checks.append(Capability(name, "lack" if remedy else "ok", detail, needed_for, remedy))

@@ -26,13 +26,19 @@ def scan(
     listen: Annotated[
         float, valued("--listen", "S", "Time to listen before sending, s.", min=0.0, max=600.0)
     ] = 1.5,
+    wait: Annotated[
+        float,
+        valued(
+            "--wait", "S", "Look again until a node has answered, at most so long, s.", min=0.0, max=600.0
+        ),
+    ] = 0.0,
     as_json: JsonOption = False,
 ) -> None:
     """List the adapters of this machine; with --bus, the nodes on a bus, without disturbing it.
 
     Examples:
       hil scan
-      hil scan --bus hub:lab
+      hil scan --bus hub:lab --wait 60   # until hil simulate or hil rehearse has its drive there
       hil scan --bus socketcan:can0   # a real drive
     """
     from servobench.drivers.canopen.nmt_states import UNCONFIGURED
@@ -48,8 +54,8 @@ def scan(
         if UNCONFIGURED in nodes:
             raise BadInput("--assign", "", UNCONFIGURED, "a node-ID 1..127")
         spec = parse_bus_spec(bus)
-        plan = ScanPlan(spec, bitrate, duration_s(listen), passive, tuple(nodes), store)
-    elif assign or passive or bitrate is not None:
+        plan = ScanPlan(spec, bitrate, duration_s(listen), passive, tuple(nodes), store, duration_s(wait))
+    elif assign or passive or wait or bitrate is not None:
         raise BadInput("--bus", "", None, "the bus to look at")
     if plan is None:
         adapters = find_adapters()

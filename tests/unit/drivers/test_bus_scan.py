@@ -144,6 +144,19 @@ def test_a_node_whose_sdo_channel_another_master_uses_is_left_alone() -> None:
     assert five.heard["SDO answer"] > 0
 
 
+def test_a_node_that_comes_after_another_master_has_asked_for_it_says_why_it_was_not_read() -> None:
+    bench = Bench([1])
+    other = bench.segment.attach("other master", Listener())
+    asked_at = Instant(bench.timeline.now + NS_PER_MS)
+    bench.timeline.call_at(asked_at, lambda _now: other.send(Frame(0x605, bytes.fromhex("4018100100000000"))))
+    scan = bench.scan()
+    bench.add(5, boot_ns=NS_PER_S)
+    scan.probe()
+    bench.network.pump(Instant(bench.timeline.now + 2 * NS_PER_S))
+    scan.read_booted()
+    assert [node.note for node in scan.found()] == ["", "not asked: another master uses its SDO channel"]
+
+
 def test_asking_takes_a_small_part_of_the_bus_and_leaves_states_alone() -> None:
     bench = Bench([1])
     scan = bench.scan(0.1)

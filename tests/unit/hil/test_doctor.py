@@ -180,6 +180,12 @@ def test_root_is_told_no_sudo(machine: Machine) -> None:
     assert not any("sudo" in found.remedy for found in run_checks(replace(machine, is_root=True)))
 
 
+def test_a_package_is_told_of_nothing_that_only_a_checkout_has(machine: Machine) -> None:
+    found = run_checks(replace(machine, in_checkout=False))
+    assert not [each for each in found if ".ci/" in each.remedy or "make test" in each.needed_for]
+    assert len(found) == len(CHECKS) - 1
+
+
 def test_looking_for_adapters_leaves_the_log_as_it_was() -> None:
     before = logging.root.manager.disable
     doctor.detected_adapters()

@@ -176,6 +176,7 @@ def test_socketcan(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "kernel_has_can", lambda: there[0])
     lack = Look(f"kernel {RELEASE} has none", f"{HUB}, or .ci/uml/run -- COMMAND")
     assert doctor.socketcan(machine) == lack
+    assert doctor.socketcan(replace(machine, in_checkout=False)) == Look(lack.detail, HUB)
     put(machine, f"lib/modules/{RELEASE}/modules.builtin", "kernel/net/can/can-raw.ko\n")
     assert doctor.socketcan(machine) == Look("built as a module, not loaded", "sudo modprobe can-raw")
     there[0] = True

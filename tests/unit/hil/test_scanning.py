@@ -1,6 +1,7 @@
 """What ``hil scan`` opens and tells: on simulated segments in simulated time, with made-up adapters."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -135,6 +136,27 @@ def test_a_scan_says_what_it_does_and_closes_its_bus(on: Any) -> None:
     )
     (bus,) = segment.looks
     assert bus.closed
+
+
+def test_who_waits_looks_again_until_a_drive_has_answered_that_comes_later(on: Any) -> None:
+    segment, said = on(Segment()), list[str]()
+    servo = SimulatedServo(1, LING2012.parameters)
+    segment.timeline.call_at(
+        Instant(3 * NS_PER_S), lambda _now: AttachedDevice(servo, segment.segment, "drive")
+    )
+    report = scan_bus(replace(plan(), wait=Duration(60 * NS_PER_S)), said.append)
+    assert [(node.node_id, node.profile) for node in report.nodes] == [(1, "servo drive (CiA 402)")]
+    assert said.count("nobody has answered: looking again") == len(segment.looks) - 1 > 0
+    assert all(bus.closed for bus in segment.looks)
+    assert 3 * NS_PER_S < segment.timeline.now < 7 * NS_PER_S
+
+
+@pytest.mark.parametrize("passive", [False, True])
+def test_the_waiting_ends(on: Any, passive: bool) -> None:
+    segment = on(Segment())
+    asked = replace(plan(passive=passive), wait=Duration(4 * NS_PER_S))
+    assert scan_bus(asked, list[str]().append).nodes == []
+    assert 4 * NS_PER_S <= segment.timeline.now < 7 * NS_PER_S
 
 
 def test_who_only_listens_sends_nothing(on: Any) -> None:
