@@ -293,6 +293,8 @@ def _load_files(axis: str, entries: Sequence[Load], config: BenchConfig) -> Iter
         key = f"load.{axis}[{index}]"
         if entry.quantity is not Quantity.TORQUE:
             yield f"{key}.path", entry.path, "a file with torque_nm: a load is a torque", ""
+        if entry.repeats:
+            yield f"{key}.repeats", True, "absent: a load from a file comes once", ""
         if len(entries) > 1:
             yield key, f"{len(entries)} entries", "one entry: a load from a file is alone on its axis", ""
         if entry.at_s > LOAD_DELAY_MAX_S:
@@ -323,6 +325,9 @@ def _demands(axis: str, drive: DriveConfig, config: BenchConfig) -> Iterator[Fau
         if isinstance(segment, SineReference) and segment.frequency_hz > fastest_hz:
             expected = f"at most {fastest_hz:g}, half the rate of the loop"
             yield f"reference.{axis}[{index}].frequency_hz", segment.frequency_hz, expected, ""
+        if isinstance(segment, SignalFile) and segment.repeats and segment.signal.last_s <= 0.0:
+            expected = f"absent: the last row of {segment.path} comes at {segment.signal.last_s:g} s"
+            yield f"reference.{axis}[{index}].repeats", True, expected, "a cycle lasts until the last row"
     loads = config.load.get(axis, ())
     yield from _load_files(axis, loads, config)
     for index, entry in enumerate(loads):

@@ -31,7 +31,7 @@ from servobench.hil.configuration.quantities import (
     TimeConstant,
     Torque,
 )
-from servobench.hil.loop.scenario import LevelStep, Quantity, Ramp, Segment, Sine, Table
+from servobench.hil.loop.scenario import LevelStep, Quantity, Ramp, Repeated, SCurve, Segment, Sine, Table
 
 TIME: Final = "time_s"
 COLUMNS: Final = {
@@ -62,6 +62,8 @@ class Signal:
     """Largest magnitude."""
     rate: float
     """Largest change per second between two points."""
+    gained: float
+    """From the first point to the last; 0 for a speed or a torque, which have no place to go on from."""
 
 
 def load_signal(path: Path) -> Signal:
@@ -110,6 +112,7 @@ def _load(path: Path, content: bytes) -> Signal:
         least=float(levels.min()),
         peak=float(np.abs(levels).max()),
         rate=float(rates.max(initial=0.0)),
+        gained=float(levels[-1] - levels[0]) if quantity is Quantity.POSITION else 0.0,
     )
 
 
@@ -208,21 +211,31 @@ class StepReference(_Entry):
 
 
 class RampReference(_Entry):
-    """From ``at_s`` on: to this level at a constant rate within ``over_s``, then stay."""
+    """From ``at_s`` on: to this level within ``over_s``, then stay.
 
-    kind: Literal["ramp"]
+    ``ramp`` goes at a constant rate, ``s_curve`` by a polynomial of the fifth degree, whose rate and
+    acceleration are 0 at both ends and whose rate peaks at 15/8 of the ramp's.
+    """
+
+    kind: Literal["ramp", "s_curve"]
     speed_rpm: SignedSpeed | None = Field(default=None, description="the speed to go to, r/min")
     position_rad: Angle | None = Field(default=None, description="the position to go to, rad")
     torque_nm: SignedTorque | None = Field(default=None, description="the torque to go to, N m")
-    over_s: TimeConstant = Field(description="how long the ramp takes, s")
+    over_s: TimeConstant = Field(description="how long it takes, s")
+
+    @property
+    def steepest(self) -> float:
+        """Largest rate, of the mean one."""
+        return 1.0 if self.kind == "ramp" else 1.875
 
     def describe(self) -> str:
         """Describe it, for the events of a run."""
-        return f"ramp to {self.level_text} over {self.over_s:g} s"
+        name = "ramp" if self.kind == "ramp" else "S-curve"
+        return f"{name} to {self.level_text} over {self.over_s:g} s"
 
     def segment(self) -> Segment:
         """Return the segment for the loop."""
-        return Ramp(self.at_s, self.level_si, self.over_s)
+        return (Ramp if self.kind == "ramp" else SCurve)(self.at_s, self.level_si, self.over_s)
 
 
 class SineReference(_Entry):
@@ -255,6 +268,9 @@ class SignalFile(_Entry):
     path: str = Field(description="a CSV or Parquet file with time_s and, say, speed_rpm")
     between: Literal["interpolated", "held"] = "interpolated"
     """The signal between two rows."""
+    repeats: bool = False
+    """Whether it begins anew after its last row, at the instant of that row: a position where it has come to,
+    so that a cam goes on; a speed or torque as in the first row."""
 
     @property
     def signal(self) -> Signal:
@@ -278,7 +294,7 @@ class SignalFile(_Entry):
 
     @property
     def ends_s(self) -> float:
-        """When its last row comes, s."""
+        """When its last row comes, s; the first time if it repeats."""
         return self.at_s + self.signal.last_s
 
     @property
@@ -287,12 +303,16 @@ class SignalFile(_Entry):
 
     def describe(self) -> str:
         """Describe it, for the events of a run."""
-        return f"{self.quantity.value} of {Path(self.path).name}, {self.signal.points} points"
+        again = ", over and over" if self.repeats else ""
+        return f"{self.quantity.value} of {Path(self.path).name}, {self.signal.points} points{again}"
 
     def segment(self) -> Segment:
         """Return the segment for the loop."""
         signal = self.signal
-        return Table(self.at_s, signal.times_s, signal.levels, self.between == "held")
+        table = Table(self.at_s, signal.times_s, signal.levels, self.between == "held")
+        if not self.repeats:
+            return table
+        return Repeated(self.at_s, table, signal.last_s, signal.gained)
 
 
 Reference = Annotated[StepReference | RampReference | SineReference | SignalFile, Field(discriminator="kind")]
@@ -340,7 +360,7 @@ def peak_rate(profile: tuple[Reference, ...]) -> float:
             peak = max(peak, math.tau * entry.frequency_hz * entry.level)
             continue
         if isinstance(entry, RampReference):
-            peak = max(peak, (abs(entry.level - before) + swing) / entry.over_s)
+            peak = max(peak, entry.steepest * (abs(entry.level - before) + swing) / entry.over_s)
         elif isinstance(entry, SignalFile):
             peak = max(peak, entry.rate)
         before, swing = entry.level, 0.0

@@ -222,7 +222,7 @@ def _set_points(config: BenchConfig) -> tuple[PlannedSetPoint, ...]:
             for entry in entries:
                 text = f"{axis}: {what} {entry.describe()}"
                 planned.append(PlannedSetPoint(duration_s(entry.at_s), number, text))
-                if isinstance(entry, SignalFile):
+                if isinstance(entry, SignalFile) and not entry.repeats:
                     text = f"{axis}: {what} of {Path(entry.path).name} ends"
                     planned.append(PlannedSetPoint(duration_s(entry.ends_s), number, text))
     return tuple(sorted(planned))

@@ -71,6 +71,31 @@ class Ramp:
 
 
 @dataclass(frozen=True, slots=True)
+class SCurve:
+    """Go to a level within ``over_s``, at rest and without acceleration at both ends, then stay.
+
+    The polynomial of the fifth degree, 10 x^3 - 15 x^4 + 6 x^5 of the way (VDI 2143, 3-4-5): its rate peaks
+    at 15/8 of the mean, its second derivative at 10/sqrt(3) of the way per ``over_s`` squared.
+    """
+
+    at_s: float
+    level: float
+    over_s: float
+
+    def value(self, elapsed_s: float, start: float) -> float:
+        if elapsed_s >= self.over_s:
+            return self.level
+        x = elapsed_s / self.over_s
+        return start + (self.level - start) * x * x * x * (10.0 + x * (6.0 * x - 15.0))
+
+    def rate(self, elapsed_s: float, start: float) -> float:
+        if elapsed_s >= self.over_s:
+            return 0.0
+        x = elapsed_s / self.over_s
+        return (self.level - start) / self.over_s * 30.0 * x * x * (1.0 - x) * (1.0 - x)
+
+
+@dataclass(frozen=True, slots=True)
 class Sine:
     """Swing about the level at which the segment began."""
 
@@ -148,6 +173,23 @@ class Table:
                 place += step
         self._skipped = place - self._place - 1 if place > self._place else 0
         return place
+
+
+@dataclass(frozen=True, slots=True)
+class Repeated:
+    """A table over and over, each time ``advance`` further on: what a cam asks of a shaft."""
+
+    at_s: float
+    table: Table
+    period_s: float
+    advance: float
+
+    def value(self, elapsed_s: float, start: float) -> float:
+        turns = math.floor(elapsed_s / self.period_s)
+        return turns * self.advance + self.table.value(elapsed_s - turns * self.period_s, start)
+
+    def rate(self, elapsed_s: float, start: float) -> float:
+        return self.table.rate(elapsed_s - math.floor(elapsed_s / self.period_s) * self.period_s, start)
 
 
 class ReferenceProfile:

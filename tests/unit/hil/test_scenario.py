@@ -3,6 +3,7 @@
 import math
 from array import array
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -12,6 +13,8 @@ from servobench.hil.loop.scenario import (
     Quantity,
     Ramp,
     ReferenceProfile,
+    Repeated,
+    SCurve,
     Segment,
     Sine,
     Table,
@@ -53,6 +56,9 @@ def doubles(*values: float) -> bytes:
     return array("d", values).tobytes()
 
 
+CAM = Table(1.0, doubles(0.0, 0.5, 1.0), doubles(4.0, 8.0, 6.0), False)
+
+
 @pytest.mark.parametrize(
     ("segment", "elapsed_s", "value", "rate"),
     [
@@ -63,6 +69,13 @@ def doubles(*values: float) -> bytes:
         (Ramp(1.0, 5.0, 0.5), 0.5, 5.0, 0.0),
         (Ramp(1.0, 5.0, 0.5), 0.6, 5.0, 0.0),
         (Ramp(1.0, -1.0, 0.5), 0.25, 0.5, -6.0),
+        (SCurve(1.0, 10.0, 0.5), 0.0, 2.0, 0.0),
+        (SCurve(1.0, 10.0, 0.5), 0.25, 6.0, 30.0),
+        (SCurve(1.0, 10.0, 0.5), 0.5, 10.0, 0.0),
+        (SCurve(1.0, 10.0, 0.5), 0.6, 10.0, 0.0),
+        (Repeated(1.0, CAM, 1.0, 2.0), 0.25, 6.0, 8.0),
+        (Repeated(1.0, CAM, 1.0, 2.0), 1.25, 8.0, 8.0),
+        (Repeated(1.0, CAM, 1.0, 2.0), 7.5, 22.0, -4.0),
         (Sine(1.0, 3.0, 0.5), 0.0, 2.0, 3.0 * math.pi),
         (Sine(1.0, 3.0, 0.5), 0.5, 5.0, 0.0),
         (Sine(1.0, 3.0, 0.5), 1.0, 2.0, -3.0 * math.pi),
@@ -107,6 +120,23 @@ def test_the_first_segment_begins_at_zero_and_segments_at_one_instant_follow_eac
     assert ReferenceProfile([Sine(1.0, 3.0, 0.5)]).value(1.5) == pytest.approx(3.0)
     twice = ReferenceProfile([LevelStep(1.0, 4.0), Ramp(1.0, 10.0, 2.0)])
     assert [twice.value(at_s) for at_s in (0.5, 1.0, 2.0, 3.0)] == pytest.approx([0.0, 4.0, 7.0, 10.0])
+
+
+@settings(derandomize=True, deadline=None)
+@given(st.floats(0.0, 1.0), st.floats(0.01, 10.0), st.floats(-100.0, 100.0))
+def test_an_s_curve_is_the_polynomial_that_begins_and_ends_at_rest_without_acceleration(
+    x: float, over_s: float, level: float
+) -> None:
+    """Witness: numpy's, solved from the six conditions on both ends."""
+    powers = np.arange(6)
+    bends = powers * (powers - 1)
+    rows = [np.eye(6)[0], np.ones(6), np.eye(6)[1], powers, 2.0 * np.eye(6)[2], bends]
+    way = np.polynomial.Polynomial(np.linalg.solve(rows, np.eye(6)[1]))
+    curve, elapsed_s = SCurve(0.0, level, over_s), x * over_s
+    rise = level - 3.0
+    assert curve.value(elapsed_s, 3.0) == pytest.approx(3.0 + rise * way(x), abs=1e-9 * abs(rise) + 1e-12)
+    expected = rise / over_s * way.deriv()(x)
+    assert curve.rate(elapsed_s, 3.0) == pytest.approx(expected, abs=1e-8 * abs(rise / over_s) + 1e-9)
 
 
 @pytest.mark.parametrize(
