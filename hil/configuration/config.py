@@ -346,12 +346,12 @@ class BenchConfig(Section):
         return self.drive[axis].mode != "cst" and self.loop.position_every_cycles == 1
 
     def quantity(self, axis: str) -> Quantity:
-        """Return the quantity of an axis' reference; without a reference its controller's, for a user's
-        controller speed."""
+        """Return the quantity of an axis' reference; without a reference its controller's
+        usual one."""
         entries = self.reference.get(axis, ())
         if entries and entries[0].told:
             return entries[0].quantity
-        return self.drive[axis].follows or Quantity.SPEED
+        return self.drive[axis].follows[0]
 
     def counted(self, axis: str) -> bool:
         """Return True if position and speed of one SYNC are to travel in one TPDO."""

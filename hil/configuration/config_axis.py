@@ -320,8 +320,8 @@ class DriveConfig(Section):
         return None if us is None else Duration(round(us * NS_PER_US))
 
     @property
-    def follows(self) -> Quantity | None:
-        """The quantity of the reference that its controller takes; None: any."""
+    def follows(self) -> tuple[Quantity, ...]:
+        """What the reference can be of that its controller takes, the usual one first."""
         return self.controller.follows(QUANTITY_BY_MODE[self.mode])
 
     @property

@@ -9,8 +9,6 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 from pydantic import Field, model_validator
 
 from servobench.design.speed.position_loop import design_position
-from servobench.design.speed.predictor_plant import PredictorPlant
-from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from servobench.hil.configuration.config_files import Section
 from servobench.hil.configuration.controller_files import (
@@ -20,7 +18,9 @@ from servobench.hil.configuration.controller_files import (
     MadeFor,
     Rows,
 )
+from servobench.hil.configuration.controller_section import ORDER_MAX, AxisController, check_period
 from servobench.hil.configuration.drive_file import LoopOfDrive
+from servobench.hil.configuration.predicting_controllers import FusedController, PredictorController
 from servobench.hil.configuration.quantities import (
     Gain,
     Inertia,
@@ -31,40 +31,14 @@ from servobench.hil.configuration.quantities import (
 )
 from servobench.hil.control.compensation import Arrival, Stamp
 from servobench.hil.control.controllers import Pid, PidGains, StateFeedback
-from servobench.hil.control.fused import FusedPredictor
 from servobench.hil.control.hinf import HinfFeedback
-from servobench.hil.control.load_filter import FilterNoise
 from servobench.hil.control.own_code import OBJECT_PATTERN, guarded_compensator, guarded_controller
 from servobench.hil.control.positions import PositionLoop, SetPointStream
-from servobench.hil.control.predictor import LoadCancelling, Predictor
 from servobench.hil.control.setup import Setup
 from servobench.hil.loop.axis_roles import Compensator, Controller
 from servobench.hil.loop.scenario import Quantity
 
-
-class AxisController(Section):
-    """``[drive.NAME.controller]`` of any kind; by default a speed loop over torques."""
-
-    gives: ClassVar[tuple[Quantity, ...]] = (Quantity.TORQUE,)
-    """Set-points that it can give; a drive takes those of its mode."""
-
-    needs_count: ClassVar[bool] = False
-    """Position and speed of one SYNC are to travel in one TPDO."""
-
-    def follows(self, given: Quantity) -> Quantity | None:  # noqa: ARG002
-        """Return the reference that it takes if the drive is given ``given``; None: any."""
-        return Quantity.SPEED
-
-
-_ORDER_MAX = 64
-"""States, or entries of a row; a design for a delay of 1.1 ms at 1 kHz has four."""
-Vector = Annotated[tuple[Gain, ...], Field(strict=False, min_length=1, max_length=_ORDER_MAX)]
-
-_Pair = Annotated[tuple[Gain, Gain], Field(strict=False)]
-FusedGains = Annotated[
-    tuple[Annotated[tuple[_Pair, _Pair, _Pair, _Pair], Field(strict=False)], ...],
-    Field(strict=False, min_length=1, max_length=_ORDER_MAX),
-]
+Vector = Annotated[tuple[Gain, ...], Field(strict=False, min_length=1, max_length=ORDER_MAX)]
 
 
 class HinfSection(AxisController):
@@ -94,7 +68,7 @@ class HinfSection(AxisController):
 
     def build(self, setup: Setup) -> Controller:
         """Build the controller of an axis. Raises BadInput for another period than its own."""
-        _check_period(self.period_us, setup)
+        check_period(self.period_us, setup)
         return HinfFeedback(
             self.A,
             self.B,
@@ -105,102 +79,6 @@ class HinfSection(AxisController):
             self.viscous_friction_nm_s,
             self.answer_us / self.period_us,
         )
-
-
-def _check_period(period_us: int, setup: Setup) -> None:
-    if period_us * NS_PER_US != setup.period:
-        key = f"drive.{setup.axis}.controller.period_us"
-        expected = f"loop.period_us = {setup.period / NS_PER_US:g}"
-        raise BadInput(setup.source, key, period_us, expected)
-
-
-class _PredictingController(AxisController):
-    """Predicts the state to the instant at which a command acts, and cancels the load."""
-
-    inertia_kg_m2: Inertia = Field(description="of all that turns, kg m^2")
-    viscous_friction_nm_s: ViscousFriction = 0.0
-    current_bandwidth_hz: float = Field(gt=0, description="of the drive's current loop, Hz")
-    speed_filter_hz: float = Field(
-        gt=0, description="corner of the filter behind the drive's speed 606Ch, Hz"
-    )
-    dead_time_us: float = Field(default=0.0, ge=0)
-    """Dead time of the drive, in addition to these two."""
-    speed_gain_nm_s_rad: Gain = Field(description="torque per speed error, N m per rad/s")
-    torque_gain: Gain = Field(default=0.0, description="torque per torque that is missing, N m/N m")
-    made_for: MadeFor | None = None
-    """The network and the drive that it was designed for; ``hil run`` refuses others."""
-    certificate: LossCertificate | None = None
-    figures: LoopFigures | None = None
-
-    @property
-    def plant(self) -> PredictorPlant:
-        """The model."""
-        return PredictorPlant(
-            self.inertia_kg_m2,
-            self.viscous_friction_nm_s,
-            math.tau * self.current_bandwidth_hz,
-            math.tau * self.speed_filter_hz,
-        )
-
-    @property
-    def dead_time(self) -> Duration:
-        """``dead_time_us`` in ns."""
-        return Duration(round(self.dead_time_us * NS_PER_US))
-
-
-class PredictorController(_PredictingController):
-    """By the speed alone, with gains that follow losses and load steps."""
-
-    kind: Literal["predictor"]
-    speed_noise_rad_s: float = Field(gt=0, description="rms of the noise on each reading of the speed, rad/s")
-    torque_noise_nm: float = Field(default=0.0, ge=0)
-    """Rms difference between a period's torque and its command."""
-    load_noise_nm_sqrt_s: float = Field(gt=0, description="of the load's random walk, N m per root of s")
-    load_noise_max_nm_sqrt_s: float = Field(gt=0, description="the same where a reading tells of a step")
-
-    def build(self, setup: Setup) -> Controller:
-        """Build the controller of an axis, with its predictor."""
-        noise = FilterNoise(
-            self.speed_noise_rad_s,
-            self.torque_noise_nm,
-            self.load_noise_nm_sqrt_s,
-            self.load_noise_max_nm_sqrt_s,
-        )
-        predictor = Predictor(self.plant, noise, self.dead_time, setup.period)
-        return LoadCancelling(predictor, self.plant, self.speed_gain_nm_s_rad, self.torque_gain)
-
-
-class FusedController(_PredictingController):
-    """By count and speed of each sample, 6064h and 606Ch of one SYNC, with constant gains."""
-
-    kind: Literal["fused"]
-    period_us: int = Field(gt=0, description="of the loop for which the gains hold, us")
-    gains: FusedGains = Field(
-        description="of a sample after 0, 1 .. lost ones: rows of speed, filtered speed, angle and load, for "
-        "the count (rad) and for the filtered speed (rad/s)"
-    )
-    speed_gains: Annotated[tuple[Gain, Gain, Gain], Field(strict=False)] = Field(
-        description="of a sample without a count: speed, filtered speed, load"
-    )
-    count_spread_rad: float = Field(gt=0, description="rms of a count beside the expected one, rad")
-    tick_us: float = Field(default=0.0, ge=0, le=1e4)
-    """At which the drive samples its encoder; 0: unknown."""
-    needs_count: ClassVar = True
-
-    def build(self, setup: Setup) -> Controller:
-        """Build the controller of an axis, with its predictor. Raises BadInput for another period than its
-        own."""
-        _check_period(self.period_us, setup)
-        predictor = FusedPredictor(
-            self.plant,
-            self.gains,
-            self.speed_gains,
-            self.count_spread_rad,
-            Duration(round(self.tick_us * NS_PER_US)),
-            self.dead_time,
-            setup.period,
-        )
-        return LoadCancelling(predictor, self.plant, self.speed_gain_nm_s_rad, self.torque_gain)
 
 
 class ArrivalCompensator(Section):
@@ -308,8 +186,8 @@ class PositionController(AxisController):
     made_for: SpeedLoopOfDrive = Field(description="a table with delay_us and speed_bandwidth_hz")
     gives: ClassVar = (Quantity.SPEED,)
 
-    def follows(self, given: Quantity) -> Quantity:  # noqa: ARG002
-        return Quantity.POSITION
+    def follows(self, given: Quantity) -> tuple[Quantity, ...]:  # noqa: ARG002
+        return (Quantity.POSITION,)
 
     def build(self, setup: Setup) -> Controller:
         """Build the controller of an axis."""
@@ -328,8 +206,8 @@ class StreamController(AxisController):
     kind: Literal["stream"]
     gives: ClassVar = tuple(Quantity)
 
-    def follows(self, given: Quantity) -> Quantity:
-        return given
+    def follows(self, given: Quantity) -> tuple[Quantity, ...]:
+        return (given,)
 
     def build(self, setup: Setup) -> Controller:
         """Build the controller of an axis."""
@@ -360,8 +238,8 @@ class OwnController(OwnCode, AxisController):
 
     gives: ClassVar = tuple(Quantity)
 
-    def follows(self, given: Quantity) -> None:
-        """Return None: any reference."""
+    def follows(self, given: Quantity) -> tuple[Quantity, ...]:  # noqa: ARG002
+        return (Quantity.SPEED, Quantity.POSITION, Quantity.TORQUE)
 
     def build(self, setup: Setup) -> Controller:
         """Build the controller of an axis; runs the code. Raises BadInput if it is none."""

@@ -83,12 +83,16 @@ def reference_faults(axis: str, drive: DriveConfig, config: BenchConfig) -> Iter
             expected = f"absent beside {entry.told[0][1]}: an entry is of one quantity"
             yield f"{table}[{index}].{key}", getattr(entry, key), expected, ""
             return
-        taken = drive.follows or entries[0].quantity
-        if entry.quantity is not taken:
-            why = f'a {drive.controller.kind} controller in mode = "{drive.mode}" takes {taken.value}s'
-            if drive.follows is None:
-                why = f"all entries of an axis are of one quantity, here a {taken.value}"
-            yield f"{table}[{index}].{entry.told[0][1]}", entry.level, f"a {taken.value}: {why}", ""
+        if entry.quantity not in drive.follows:
+            taken = " or ".join(each.value for each in drive.follows)
+            plural = " or ".join(f"{each.value}s" for each in drive.follows)
+            why = f'a {drive.controller.kind} controller in mode = "{drive.mode}" takes {plural}'
+            yield f"{table}[{index}].{entry.told[0][1]}", entry.level, f"a {taken}: {why}", ""
+            return
+        first = entries[0].quantity
+        if entry.quantity is not first:
+            why = f"all entries of an axis are of one quantity, here a {first.value}"
+            yield f"{table}[{index}].{entry.told[0][1]}", entry.level, f"a {first.value}: {why}", ""
             return
     if entries:
         yield from _beyond(table, entries, axis, drive)
@@ -106,6 +110,9 @@ def _beyond(table: str, entries: tuple[Reference, ...], axis: str, drive: DriveC
             yield table, peak, f"less than {key}.{name} = {limit:g}", remedy
     elif quantity is Quantity.SPEED:
         peak, name, limit = peak_level(entries), "set_speed_max_rpm", limits.set_speed_rpm
+    elif drive.mode == "cst":
+        peak, name, limit = peak_rate(entries) / RAD_S_PER_RPM, "speed_max_rpm", limits.speed_max_rpm
+        remedy = "the bench would stop the drive there"
     else:
         peak, name, limit = peak_rate(entries) / RAD_S_PER_RPM, "set_speed_max_rpm", limits.set_speed_rpm
     if peak > limit:

@@ -7,9 +7,14 @@
 From the last sample on the model runs open, over all commands that are on their way: so through a dropout,
 too. The feedback sees a plant without delay, and the load it knows is cancelled:
 
-    u = T + k_T (T - T^) + k_omega (omega* - omega^) + J d omega*/dt      T = T_L^ + B omega*
+    u = T + k_T (T - T^) + k_omega (omega* - omega^)      T = T_L^ + B omega* + J d omega*/dt
+
+Each is taken at the instant at which the command acts, the rise of the speed over the period from there.
+Where positions are asked for, omega* - omega^ has K (theta* - theta^) in addition, bounded by what the shaft
+can brake from.
 """
 
+import math
 from typing import Final
 
 from servobench.design.speed.predictor_plant import PredictorPlant
@@ -35,7 +40,7 @@ class Predicting(Compensator):
 
     def __init__(self, plant: PredictorPlant, dead_time: Duration, period: Duration) -> None:
         self._plant = plant
-        self._dead_time = dead_time
+        self.dead_time = dead_time
         self._period = period
         self._begin()
 
@@ -57,7 +62,7 @@ class Predicting(Compensator):
         self._begin()
 
     def sent(self, command: Command) -> None:
-        acts_at = command.effective_at + self._dead_time
+        acts_at = command.effective_at + self.dead_time
         while len(self._acts_at) > 1 and self._acts_at[-1] >= acts_at:
             self._acts_at.pop()
             self._commands_nm.pop()
@@ -89,7 +94,7 @@ class Predicting(Compensator):
         last = self._last
         if last is None:
             return AT_REST
-        ahead, at = self._ahead, context.acts_at + self._dead_time
+        ahead, at = self._ahead, context.acts_at + self.dead_time
         ahead.copy(self._motion)
         self._run(ahead, self._at, at)
         speed, elapsed_s = ahead.speed_rad_s, (at - last.sampled_at) * PER_NS
@@ -161,17 +166,55 @@ class LoadCancelling(Controller):
         return self._predictor
 
     def output(self, context: Context) -> SetPoint:
-        estimate, period = context.estimate, context.period
-        later = 1 if context.acts_at - context.now > period // EARLY else 0
-        ahead = context.preview(later + 1)
-        reference = ahead[later]
-        steady_nm = self._predictor.load_nm + self._friction * reference
+        at = Instant(context.acts_at + self._predictor.dead_time)
+        speed, following = self._speed(context, at), self._speed(context, Instant(at + context.period))
+        rise_rad_s2 = (following - speed) / (context.period * PER_NS)
+        aim_nm = self._predictor.load_nm + self._friction * speed + self._inertia * rise_rad_s2
+        estimate = context.estimate
         return TorqueSetPoint(
-            steady_nm
-            + self._torque_gain * (steady_nm - estimate.torque_nm)
-            + self._speed_gain * (reference - estimate.velocity_rad_s)
-            + self._inertia * (ahead[later + 1] - reference) / (period * PER_NS)
+            aim_nm
+            + self._torque_gain * (aim_nm - estimate.torque_nm)
+            + self._speed_gain * (speed + self._towards(context, at) - estimate.velocity_rad_s)
         )
+
+    def _speed(self, context: Context, at: Instant) -> float:
+        """Return the speed that is asked for at an instant, rad/s."""
+        return context.reference_at(at)
+
+    def _towards(self, context: Context, at: Instant) -> float:  # noqa: ARG002
+        """Return the speed in addition, by which a position's error is made good, rad/s."""
+        return 0.0
 
     def telemetry(self) -> list[float]:
         return [self._predictor.load_nm, self._predictor.innovation_rad_s]
+
+
+class PositionTracking(LoadCancelling):
+    """Of a reference of positions: K, 1/s, and the speed and the acceleration of an approach from afar."""
+
+    def __init__(
+        self,
+        predictor: Predicting,
+        plant: PredictorPlant,
+        speed_gain_nm_s_rad: float,
+        torque_gain: float,
+        position_gain_per_s: float,
+        approach_rad_s: float,
+        approach_rad_s2: float,
+    ) -> None:
+        super().__init__(predictor, plant, speed_gain_nm_s_rad, torque_gain)
+        self._position_gain = position_gain_per_s
+        self._approach_rad_s = approach_rad_s
+        self._approach_rad_s2 = approach_rad_s2
+
+    def _speed(self, context: Context, at: Instant) -> float:
+        return context.reference_rate_at(at)
+
+    def _towards(self, context: Context, at: Instant) -> float:
+        estimate = context.estimate
+        if estimate.sequence == 0:
+            return 0.0
+        error_rad = context.reference_at(at) - estimate.position_rad
+        braking = math.sqrt(2.0 * self._approach_rad_s2 * abs(error_rad))
+        speed = min(self._position_gain * abs(error_rad), braking, self._approach_rad_s)
+        return math.copysign(speed, error_rad)

@@ -26,6 +26,9 @@ class Setup:
     given: Quantity = Quantity.TORQUE
     """Quantity that the drive takes in its mode."""
 
+    followed: Quantity = Quantity.SPEED
+    """Quantity of the axis' reference."""
+
     @property
     def period_s(self) -> float:
         """``period`` in s."""

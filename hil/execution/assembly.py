@@ -88,6 +88,7 @@ def _of_axis(config: BenchConfig, axis: str, given: Controller | None, real_time
         patience_s,
         config.source,
         QUANTITY_BY_MODE[drive.mode],
+        config.quantity(axis),
     )
     own = {}
     for key in ("compensator",) if given else ("controller", "compensator"):

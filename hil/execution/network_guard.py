@@ -24,7 +24,6 @@ from servobench.hil.configuration.controller_files import (
 from servobench.hil.configuration.controller_kinds import (
     HinfSection,
     PidController,
-    PredictorController,
     StampCompensator,
     StateFeedbackController,
 )
@@ -37,6 +36,7 @@ from servobench.hil.configuration.drive_current_loop import (
     slow_for_pid,
 )
 from servobench.hil.configuration.network_file import Network, commands_unknown, load_network
+from servobench.hil.configuration.predicting_controllers import PredictorController
 from servobench.hil.loop.cycle_record import CycleRecord
 from servobench.hil.loop.samples import Sample
 from servobench.hil.rows.recording_plan import CertifiedPlan

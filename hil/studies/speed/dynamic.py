@@ -43,7 +43,8 @@ from servobench.hil.configuration.controller_files import (
     LossCertificate,
     MadeFor,
 )
-from servobench.hil.configuration.controller_kinds import HinfSection, PredictorController
+from servobench.hil.configuration.controller_kinds import HinfSection
+from servobench.hil.configuration.predicting_controllers import PredictorController
 from servobench.hil.studies.numbers import finite, margin_figures, short
 from servobench.hil.studies.speed.controller_text import begun_us, plant_of, sequence_proof, whole_us
 

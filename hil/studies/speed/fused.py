@@ -19,7 +19,7 @@ from servobench.design.speed.fused_filter import rounding
 from servobench.design.speed.predictor_design import PredictorRequest
 from servobench.design.speed.random_loops import RandomFused
 from servobench.drivers.timebase import US_PER_S
-from servobench.hil.configuration.controller_kinds import FusedController
+from servobench.hil.configuration.predicting_controllers import FusedController
 from servobench.hil.studies.numbers import short
 from servobench.hil.studies.speed.dynamic import ENCODER_COUNTS, INNER_RATE_HZ, DynamicResult
 

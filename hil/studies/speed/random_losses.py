@@ -20,13 +20,9 @@ from servobench.design.speed.predictor_trial import Walks
 from servobench.design.speed.random_loops import RandomFused, RandomHeld, RandomHinf, RandomPredictor
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import US_PER_S
-from servobench.hil.configuration.controller_kinds import (
-    FusedController,
-    HinfSection,
-    PredictorController,
-    StateFeedbackController,
-)
+from servobench.hil.configuration.controller_kinds import HinfSection, StateFeedbackController
 from servobench.hil.configuration.network_file import LossChain, Network
+from servobench.hil.configuration.predicting_controllers import FusedController, PredictorController
 from servobench.hil.studies.numbers import finite
 
 Designed = StateFeedbackController | PredictorController | FusedController | HinfSection

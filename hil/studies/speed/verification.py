@@ -14,7 +14,7 @@ from servobench.design.verify.file import claims_of, table_of
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import US_PER_S
 from servobench.hil.configuration.bench_file import load_controller
-from servobench.hil.configuration.controller_kinds import PredictorController
+from servobench.hil.configuration.predicting_controllers import PredictorController
 
 _TOLERANCE = 1e-6
 """Relative: gains of a filter that are worked out on another processor differ by its rounding, 1e-12; the box

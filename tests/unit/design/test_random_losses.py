@@ -14,7 +14,7 @@ from servobench.design.sampled.jump_loop import JumpLoop
 from servobench.design.sampled.random_losses import LossyLink, fates_of
 from servobench.design.speed.random_loops import RandomHeld
 from servobench.hil.configuration.bench_file import load_controller
-from servobench.hil.configuration.controller_kinds import FusedController
+from servobench.hil.configuration.predicting_controllers import FusedController
 from servobench.hil.studies.speed.random_losses import remembering_of
 from tests.benchmarks.bench_random_losses import FILES, Link, beside, fates
 

@@ -215,11 +215,11 @@ def test_the_load_is_cancelled_and_a_ramp_fed_forward() -> None:
     ramp = ReferenceProfile([Ramp(0.0, 100.0, 1.0)])
     context = Context(PERIOD, ramp)
     context.begin(101, Instant(0), 0.1, 10.0, Instant(0), Instant(PERIOD))
-    steady = 0.6 + 1.85e-3 * 10.1
-    context.estimate = StateEstimate(0.0, 10.1, steady, Instant(0), 1)
-    assert asked(controller, context) == pytest.approx(steady + 8e-4 * 100.0, rel=1e-6)
-    context.estimate = StateEstimate(0.0, 9.1, steady - 0.1, Instant(0), 1)
-    expected = steady + 8e-4 * 100.0 + 0.4 * 1.0 + 0.2 * 0.1
-    assert asked(controller, context) == pytest.approx(expected, rel=1e-6)
+    speed = 100.0 * (0.1 + (PERIOD + DEAD_TIME) / NS_PER_S)
+    aim = 0.6 + 1.85e-3 * speed + 8e-4 * 100.0
+    context.estimate = StateEstimate(0.0, speed, aim, Instant(0), 1)
+    assert asked(controller, context) == pytest.approx(aim, rel=1e-6)
+    context.estimate = StateEstimate(0.0, speed - 1.0, aim - 0.1, Instant(0), 1)
+    assert asked(controller, context) == pytest.approx(aim + 0.4 * 1.0 + 0.2 * 0.1, rel=1e-6)
     assert controller.telemetry()[0] == 0.6
     assert len(controller.telemetry()) == len(controller.channels())
