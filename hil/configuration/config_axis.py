@@ -321,7 +321,7 @@ class DriveConfig(Section):
 
     @property
     def follows(self) -> tuple[Quantity, ...]:
-        """What the reference can be of that its controller takes, the usual one first."""
+        """Quantities of which its reference can be, the usual one first."""
         return self.controller.follows(QUANTITY_BY_MODE[self.mode])
 
     @property

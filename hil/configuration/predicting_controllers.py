@@ -19,9 +19,9 @@ from servobench.hil.loop.axis_roles import Controller
 from servobench.hil.loop.scenario import Quantity
 
 _APPROACH = 0.8
-"""Of ``speed_max_rpm``, at which the bench stops a drive: a speed loop overshoots."""
+"""Share of ``speed_max_rpm``, at which the bench stops a drive: a speed loop overshoots."""
 _BRAKING = 0.5
-"""Of the torque that may be commanded, to brake with from a step of the position: the load has the rest."""
+"""Share of the torque limit to brake with from a step of the position: the load has the rest."""
 _Pair = Annotated[tuple[Gain, Gain], Field(strict=False)]
 FusedGains = Annotated[
     tuple[Annotated[tuple[_Pair, _Pair, _Pair, _Pair], Field(strict=False)], ...],

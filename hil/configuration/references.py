@@ -269,7 +269,7 @@ class SignalFile(_Entry):
     between: Literal["interpolated", "held"] = "interpolated"
     """The signal between two rows."""
     repeats: bool = False
-    """Whether it begins anew after its last row, at the instant of that row: a position where it has come to,
+    """Begin anew after the last row, at the instant of that row: a position where it has come to,
     so that a cam goes on; a speed or torque as in the first row."""
 
     @property

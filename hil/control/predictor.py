@@ -190,7 +190,7 @@ class LoadCancelling(Controller):
 
 
 class PositionTracking(LoadCancelling):
-    """Of a reference of positions: K, 1/s, and the speed and the acceleration of an approach from afar."""
+    """Follows positions: K, 1/s, and the speed and the acceleration of an approach from afar."""
 
     def __init__(
         self,
