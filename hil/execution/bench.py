@@ -20,7 +20,7 @@ from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.configuration.quantities import odd_values
 from servobench.hil.execution import assembly, segments
 from servobench.hil.execution.assembly import AxisCode, axis_code, check_axes
-from servobench.hil.execution.conclusion import Conclusion, distrust, made_twice, timing_report
+from servobench.hil.execution.conclusion import Conclusion, Standstill, distrust, made_twice, timing_report
 from servobench.hil.execution.drive_session import (
     DriveSession,
     connect,
@@ -32,7 +32,6 @@ from servobench.hil.execution.drive_session import (
 )
 from servobench.hil.execution.network_guard import Certificates
 from servobench.hil.execution.recorded_bench import keep_files, recording_plan
-from servobench.hil.execution.standstill import Standstill
 from servobench.hil.execution.world import World, WorldPlan, check_time, open_world
 from servobench.hil.load.load_machines import LoadMachines
 from servobench.hil.loop.axis import Axis

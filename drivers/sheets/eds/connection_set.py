@@ -18,13 +18,12 @@ from servobench.drivers.canopen.objects301 import (
     Cia301,
 )
 from servobench.drivers.sheets.eds import types
-from servobench.drivers.sheets.eds.entries import Entry
+from servobench.drivers.sheets.eds.entries import Entry, Value
 from servobench.drivers.sheets.eds.information import DeviceInformation
 from servobench.drivers.sheets.eds.numbers import Formula
 from servobench.drivers.sheets.eds.objects import EdsObject
 from servobench.drivers.sheets.eds.sections import Sections, section_name
 from servobench.drivers.sheets.eds.text import RepairLog
-from servobench.drivers.sheets.eds.values import Value
 
 _PREDEFINED: Final[dict[tuple[int, int], int]] = {
     (Cia301.EMCY_COB_ID, 0): EMERGENCY,

@@ -14,7 +14,7 @@ from servobench.drivers.canopen.cob_ids import EXTENDED, NO_RTR, NOT_VALID
 from servobench.drivers.canopen.data_types import DataType
 from servobench.drivers.canopen.objects301 import FIRST_OBJECT
 from servobench.drivers.sheets.eds import types
-from servobench.drivers.sheets.eds.entries import Entry, EntryReader
+from servobench.drivers.sheets.eds.entries import Entry, EntryReader, Place, Scalar, Value, read_value
 from servobench.drivers.sheets.eds.information import Commissioning, DeviceInformation
 from servobench.drivers.sheets.eds.numbers import Formula, integer
 from servobench.drivers.sheets.eds.sections import (
@@ -27,7 +27,6 @@ from servobench.drivers.sheets.eds.sections import (
     table_of,
 )
 from servobench.drivers.sheets.eds.text import NoDataSheet, RepairLog
-from servobench.drivers.sheets.eds.values import Place, Scalar, Value, read_value
 
 _SUBS_MAX = 254
 """A sub-index is an UNSIGNED8, and FFh is no entry but describes the object's structure (CiA 301)."""

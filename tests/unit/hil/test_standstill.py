@@ -9,7 +9,7 @@ import pytest
 
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, MonotonicClock, suspended
 from servobench.drivers.wire.adapters import parse_bus_spec
-from servobench.hil.execution.standstill import Standstill
+from servobench.hil.execution.conclusion import Standstill
 from servobench.hil.execution.world import World, WorldPlan, open_world
 
 PERIOD = Duration(NS_PER_MS)
