@@ -24,7 +24,7 @@ from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.configuration.motor_file import MotorFile
 from servobench.hil.loop.cycle_record import COLUMNS
 from servobench.hil.rows.records_file import PHASE_COLUMN
-from servobench.hil.verdict.limits import LIMITED
+from servobench.hil.verdict.metrics import LIMITED
 from servobench.virtual_bus.faults.register import TABLES
 
 _ROOT = Path(__file__).resolve().parents[2]
@@ -68,7 +68,7 @@ def limits_page() -> str:
     lines += ["| key | value | figure | meaning |", "|---|---|---|---|"]
     for name, limited in LIMITED.items():
         bounds = ", ".join(f"{_BOUNDS[bound]} {value}" for bound, value in limited.bounds.items())
-        lines.append(f"| `{name}` | number {bounds} | {limited.title} | {limited.meaning} |")
+        lines.append(f"| `{name}` | number {bounds} | {limited.heading} | {limited.meaning} |")
     return "\n".join([*lines, ""])
 
 

@@ -215,7 +215,7 @@ def schema_of(plan: CampaignPlan) -> pa.Schema:
             _field(name, kind, name.rpartition("_")[2] if kind == pa.float64() else "", "it varies")
         )
     fields += [_field(name, kind, "", text) for name, (kind, text) in _TOLD.items()]
-    fields += [_field(name, pa.float64(), each.unit, each.meaning) for name, each in FIGURES.items()]
+    fields += [_field(name, pa.float64(), each.unit, each.title) for name, each in FIGURES.items()]
     if plan.own.checks:
         fields.append(_field("findings", pa.list_(pa.string()), "", "what the check of one's own says of it"))
     metadata = {

@@ -9,7 +9,7 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -28,28 +28,13 @@ from servobench.hil.recording.recorder import recorder_of
 from servobench.hil.recording.run_recorder import MemoryRecorder, RunRecorder
 from servobench.hil.reviewing.certificate_meter import CertificateState
 from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.verdict.metrics import METRICS, Beside
 from servobench.hil.verdict.summary import Summary
 from servobench.hil.verdict.verdict import VerdictKind
 
 COLLECTED_EVERY: Final = 50
 """Runs between two garbage collections: a run leaves some hundred kB in cycles, a collection takes some
 milliseconds once the imports are frozen."""
-
-
-class Figure(NamedTuple):
-    """A figure kept for each run, as a column."""
-
-    unit: str
-    meaning: str
-    of: Callable[[Summary, int], float | None]
-    """Computes it from a summary, and the number of axes."""
-
-
-def _gain(summary: Summary, which: str) -> float | None:
-    """Return the gain of the axis nearest to its certificate."""
-    pairs = [each["gain_rad_s_nm"] for each in summary.certificates.values()]
-    known = [pair for pair in pairs if pair["certified"] is not None and pair["seen"] is not None]
-    return max(known, key=lambda pair: pair["seen"] / pair["certified"])[which] if known else None
 
 
 def certificate_state(summary: Summary) -> str:
@@ -67,40 +52,8 @@ def _premises(summary: Summary, which: str) -> str:
     )
 
 
-FIGURES: Final[Mapping[str, Figure]] = {
-    "speed_error_peak_rad_s": Figure("rad/s", "largest speed error", lambda s, _: s.speed_error.peak_rad_s),
-    "speed_error_peak_percent": Figure(
-        "%", "the same, of the largest reference", lambda s, _: s.speed_error.peak_percent
-    ),
-    "speed_error_rms_rad_s": Figure("rad/s", "speed error, rms", lambda s, _: s.speed_error.rms_rad_s),
-    "after_load_percent": Figure(
-        "%", "speed error after a load step", lambda s, _: s.speed_error.after_load_percent
-    ),
-    "torque_rms_nm": Figure("N m", "torque about its mean, rms", lambda s, _: s.torque_rms_nm),
-    "dropouts_percent": Figure(
-        "%",
-        "cycles without a usable reading",
-        lambda s, axes: 100.0 * s.dropouts.total / (s.cycles * axes) if s.cycles else None,
-    ),
-    "delay_p99_us": Figure("us", "delay of the readings, 99 %", lambda s, _: s.reading_delay_us.p99),
-    "delay_max_us": Figure("us", "delay of the readings, largest", lambda s, _: s.reading_delay_us.max),
-    "bus_load_percent": Figure("%", "bus load", lambda s, _: s.bus_load_percent),
-    "load_gain_rad_s_nm": Figure(
-        "rad/s per N m",
-        "gain from load torque to speed error, seen; of a certified controller",
-        lambda s, _: _gain(s, "seen"),
-    ),
-    "load_gain_least_rad_s_nm": Figure(
-        "rad/s per N m",
-        "the same, less what noise may make of it",
-        lambda s, _: _gain(s, "seen_at_least"),
-    ),
-    "load_gain_certified_rad_s_nm": Figure(
-        "rad/s per N m", "the same, as its certificate has it", lambda s, _: _gain(s, "certified")
-    ),
-    "cycles": Figure("", "control cycles", lambda s, _: float(s.cycles)),
-}
-"""Figures by column name; the names are those of the limits in ``[verdict]`` if there is one."""
+FIGURES: Final = {name: each for name, each in METRICS.items() if each.counted}
+"""Figures kept for each run, by column name."""
 
 Row = dict[str, Any]
 """A row of the table of a campaign: plain values by column."""
@@ -241,6 +194,7 @@ def row_of_run(planned: PlannedRun, done: Finished) -> Row:
     summary, verdict = done.summary, done.summary.verdict
     if ended_by := verdict.of(VerdictKind.INTERRUPTED):
         raise Interrupted("; ".join(ended_by))
+    beside = Beside(summary.cycles * len(done.config.axes), summary.bus_load_percent)
     return {
         "run": planned.number,
         "point": planned.point,
@@ -257,7 +211,7 @@ def row_of_run(planned: PlannedRun, done: Finished) -> Row:
         "premises_left": _premises(summary, "premises_left"),
         "premises_unknown": _premises(summary, "premises_unknown"),
         "digest": summary.digest,
-        **{name: figure.of(summary, len(done.config.axes)) for name, figure in FIGURES.items()},
+        **{name: figure.value(summary, beside) for name, figure in FIGURES.items()},
         **({} if done.findings is None else {"findings": done.findings}),
     }
 

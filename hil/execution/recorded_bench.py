@@ -26,7 +26,7 @@ from servobench.hil.rows.recording_plan import (
     RecordingPlan,
     ReviewPlan,
 )
-from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.metrics import VerdictLimits
 
 
 def _kept_bench(config: BenchConfig, code: Mapping[str, AxisCode]) -> tuple[BenchConfig, dict[str, Path]]:

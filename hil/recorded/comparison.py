@@ -10,10 +10,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, TypeVar
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, create_model
 
 from servobench.drivers.bounded_file import NamedBy
 from servobench.drivers.errors import BadInput
@@ -24,6 +24,7 @@ from servobench.hil.recorded.recorded_run import RecordedRun, RunSignals
 from servobench.hil.reviewing.envelope import Largest, largest
 from servobench.hil.rows.records import DIGESTED, ROW_DTYPE, Rows
 from servobench.hil.rows.seal import doubt
+from servobench.hil.verdict.metrics import METRICS, Beside, compared_values
 from servobench.hil.verdict.summary_text import number
 
 _SIGNALS: Final = ("velocity_rad_s", "torque_nm", "command_torque_nm", "reference_rad_s", "load_torque_nm")
@@ -36,24 +37,21 @@ _COLUMNS_MAX: Final = 8
 
 
 Tolerance = Annotated[float | None, Field(ge=0)]
+T = TypeVar("T", bound=Section)
 
 
+def _with_metrics(section: type[T]) -> type[T]:
+    """Return the section with a tolerance for each metric that is compared."""
+    keys: dict[str, Any] = {each.compared: (Tolerance, None) for each in METRICS.values() if each.compared}
+    return create_model(
+        section.__name__, __base__=section, __module__=__name__, __doc__=section.__doc__, **keys
+    )
+
+
+@_with_metrics
 class Tolerances(Section):
     """How much worse than the baseline a run may be, each in its own unit; what is absent is not judged."""
 
-    speed_error_rms_rad_s: Tolerance = None
-    speed_error_peak_percent: Tolerance = None
-    after_load_percent: Tolerance = None
-    settling_time_ms: Tolerance = None
-    overshoot_percent: Tolerance = None
-    recovery_time_ms: Tolerance = None
-    torque_rms_nm: Tolerance = None
-    dropouts_percent: Tolerance = None
-    reading_losses_in_a_row: Tolerance = None
-    command_losses_in_a_row: Tolerance = None
-    reading_delay_p99_us: Tolerance = None
-    action_delay_p99_us: Tolerance = None
-    lateness_p99_us: Tolerance = None
     speed_difference_rms_rad_s: Tolerance = None
     """RMS difference of the measured speeds, cycle by cycle."""
     speed_difference_max_rad_s: Tolerance = None
@@ -126,24 +124,7 @@ class Against:
     def figures(self) -> dict[str, float | None]:
         """Compared figures, by the names of :class:`Tolerances`."""
         figures = self.signals.review.figures()
-        error, steps = figures.speed_error, figures.step_response
-        return {
-            "speed_error_rms_rad_s": error.rms_rad_s,
-            "speed_error_peak_percent": error.peak_percent,
-            "after_load_percent": error.after_load_percent,
-            "settling_time_ms": steps.settling_time_ms,
-            "overshoot_percent": steps.overshoot_percent,
-            "recovery_time_ms": steps.recovery_time_ms,
-            "torque_rms_nm": figures.torque_rms_nm,
-            "dropouts_percent": figures.dropouts_percent,
-            "reading_losses_in_a_row": float(figures.reading_losses_in_a_row),
-            "command_losses_in_a_row": None
-            if figures.command_losses_in_a_row is None
-            else float(figures.command_losses_in_a_row),
-            "reading_delay_p99_us": figures.reading_delay_us.p99,
-            "action_delay_p99_us": figures.action_delay_us.p99,
-            "lateness_p99_us": figures.lateness_us.p99,
-        }
+        return compared_values(figures, Beside(figures.rows))
 
 
 def compare_runs(runs: Sequence[RecordedRun], tolerances: Tolerances | None = None) -> list[Against]:
@@ -236,10 +217,11 @@ def _regressions(base: Against, other: Against, tolerances: Tolerances) -> Itera
     """Smaller is better in every figure."""
     values = {**other.figures, **_speed_apart(other)}
     references = {**base.figures, "speed_difference_rms_rad_s": 0.0, "speed_difference_max_rad_s": 0.0}
-    for name, tolerance in tolerances.model_dump().items():
+    for name, value in values.items():
+        tolerance = getattr(tolerances, name)
         if tolerance is None:
             continue
-        value, reference = values[name], references[name]
+        reference = references[name]
         kept = None if value is None or reference is None else value <= reference + tolerance
         if value is None and reference is None:
             kept = True  # neither run had such a step

@@ -24,7 +24,7 @@ from servobench.hil.rows.events import ACTIVE, INJECTED_TRACK, read_events
 from servobench.hil.rows.records import Rows
 from servobench.hil.rows.records_file import read_some
 from servobench.hil.rows.run_files import EVENTS_FILE, RECORDS_FILE
-from servobench.hil.verdict.limits import metric_title
+from servobench.hil.verdict.metrics import metric_title
 from servobench.hil.verdict.summary import Summary
 from servobench.hil.verdict.verdict import Check, LimitResult, VerdictKind
 

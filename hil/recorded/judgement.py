@@ -17,7 +17,7 @@ from servobench.hil.recorded.recorded_run import RecordedRun, RunSignals
 from servobench.hil.rows.records import Rows
 from servobench.hil.rows.run_files import RECORDS_FILE
 from servobench.hil.verdict.figures import Figures
-from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.metrics import VerdictLimits
 from servobench.hil.verdict.summary import Summary, summarise
 from servobench.hil.verdict.verdict import Demand, RunOutcome, VerdictKind
 

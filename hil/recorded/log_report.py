@@ -13,7 +13,7 @@ from servobench.hil.recorded.log_axis import AxisReview
 from servobench.hil.recorded.log_review import LogReview
 from servobench.hil.recorded.report import SUFFIXES, Table
 from servobench.hil.reviewing.html_page import html_page, html_table
-from servobench.hil.verdict.limits import metric_title
+from servobench.hil.verdict.metrics import metric_title
 from servobench.hil.verdict.summary_text import number
 from servobench.hil.verdict.verdict import ExitStatus, LimitResult
 

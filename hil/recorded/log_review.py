@@ -23,8 +23,8 @@ from servobench.hil.reviewing.log_content import LogContent
 from servobench.hil.reviewing.log_cycles import SyncGrid, sync_grid
 from servobench.hil.reviewing.trace.bus_log import BusLog
 from servobench.hil.reviewing.trace.node_objects import KnownNodes, NodeKey, SheetFile
-from servobench.hil.verdict.limits import LIMITED, VerdictLimits
-from servobench.hil.verdict.verdict import Check, ExitStatus, LimitResult, RunOutcome
+from servobench.hil.verdict.metrics import LIMITED, Beside, VerdictLimits
+from servobench.hil.verdict.verdict import Check, ExitStatus, LimitResult
 
 JUDGED: Final = ("dropouts_percent_max", "delay_p99_us_max", "missed_percent_max", "losses_in_a_row_max")
 """Limits that a log can be held against."""
@@ -176,7 +176,7 @@ def _checks(limits: VerdictLimits, signals: RunSignals) -> Iterator[Check]:
     for key, limit in asdict(limits).items():
         if limit is None or key not in JUDGED:
             continue
-        value, place = LIMITED[key].value(figures, RunOutcome()), figures.worst.get(key)
+        value, place = LIMITED[key].value(figures, Beside(figures.rows)), figures.worst.get(key)
         result = LimitResult.NOT_MEASURED if value is None else LimitResult.KEPT
         result = LimitResult.BROKEN if value is not None and value > limit else result
         yield Check(key, value, limit, result, "" if place is None else place.axis)

@@ -49,7 +49,7 @@ from servobench.hil.reviewing.envelope import Envelope, Largest, Points, largest
 from servobench.hil.rows.recording_plan import AxisPlan
 from servobench.hil.rows.records import Rows
 from servobench.hil.verdict.figures import PositionError, SpeedError, StepResponse
-from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.metrics import VerdictLimits
 
 ROUNDING = 1.0 + 1e-9
 """A ramp at the very limit is no step: in double precision it misses it by 1e-16 of the speeds it is the

@@ -16,7 +16,7 @@ from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from servobench.hil.loop.cycle_record import NOTHING
 from servobench.hil.rows.records import DIGESTED, Rows
 from servobench.hil.rows.side_rows import TextEvent
-from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.metrics import VerdictLimits
 
 SETTLING = Duration(250_000_000)
 """Default of ``verdict.settling_ms``."""

@@ -90,7 +90,7 @@ class Figures:
     cycles: int
     """Control cycles: the rows of the axis with most."""
     rows: int
-    """Records over all axes; the base of ``dropouts_percent``."""
+    """Records over all axes; the base of shares such as that of dropouts."""
     dense: int
     """Cycles up to the first missing or double one in an axis."""
     dropouts: DropoutCounts
@@ -124,11 +124,3 @@ class Figures:
     """The same: certain losses."""
     worst: Mapping[str, WorstPlace] = field(default_factory=dict)
     """Place of the worst value, by the names of the limits, if it has one."""
-
-    @property
-    def dropouts_percent(self) -> float | None:
-        return 100.0 * self.dropouts.total / self.rows if self.rows else None
-
-    @property
-    def missed_percent(self) -> float | None:
-        return 100.0 * self.dropouts.missed / self.rows if self.rows else None

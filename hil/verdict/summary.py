@@ -19,7 +19,7 @@ from servobench.hil.verdict.figures import (
     SpeedError,
     StepResponse,
 )
-from servobench.hil.verdict.limits import LIMITED, VerdictLimits
+from servobench.hil.verdict.metrics import Beside, VerdictLimits, limited_values
 from servobench.hil.verdict.verdict import (
     Check,
     CycleCount,
@@ -98,7 +98,7 @@ def summarise(
     """Join figures, outcome and verdict; ``certified``: demands besides the limits."""
     shared = {each.name for each in fields(Figures)} & {each.name for each in fields(Summary)}
     count = CycleCount(figures.dense, figures.rows, figures.dropouts.missed)
-    values = {key: each.value(figures, outcome) for key, each in LIMITED.items()}
+    values = limited_values(figures, Beside(figures.rows, outcome.bus_load_percent))
     return Summary(
         **{name: getattr(figures, name) for name in shared},
         bus_load_percent=outcome.bus_load_percent,
@@ -117,9 +117,7 @@ def summarise(
 def checks_so_far(figures: Figures, limits: VerdictLimits) -> tuple[Check, ...]:
     """Hold the figures of a run that goes on against its limits; what its end alone tells is not
     measured."""
-    unknown = RunOutcome()
-    values = {key: each.value(figures, unknown) for key, each in LIMITED.items()}
-    return checks_of(values, limits, figures.worst)
+    return checks_of(limited_values(figures, Beside(figures.rows)), limits, figures.worst)
 
 
 def summary_without_run(outcome: VerdictKind, reason: str) -> Summary:

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from servobench.drivers.timebase import NS_PER_S
 from servobench.hil.verdict.figures import Figures, Percentiles
-from servobench.hil.verdict.limits import metric_title
+from servobench.hil.verdict.metrics import metric_title
 from servobench.hil.verdict.summary import Summary
 from servobench.hil.verdict.verdict import Check
 

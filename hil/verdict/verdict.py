@@ -10,7 +10,7 @@ from enum import IntEnum, StrEnum
 from typing import Any, NamedTuple
 
 from servobench.hil.verdict.figures import WorstPlace
-from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.metrics import VerdictLimits
 
 
 class ExitStatus(IntEnum):

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.metrics import VerdictLimits
 from servobench.hil.verdict.verdict import VerdictKind
 from servobench.virtual_bus.faults.register import TABLES
 from tests.pictures import made

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.metrics import VerdictLimits
 from servobench.virtual_bus.faults.register import TABLES
 from tests.pictures.cases import cases
 from tests.pictures.pixels import BARS, CURVES, LIMIT, Color, Picture, complaints

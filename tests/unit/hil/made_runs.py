@@ -9,7 +9,7 @@ from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.recorded.recorded_run import RecordedRun
 from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
 from servobench.hil.rows.records import Rows
-from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.metrics import VerdictLimits
 from tests.unit.hil.test_report import summary
 
 BENCH: BenchConfig = load_bench(Path(__file__).parents[3] / "examples" / "ling2012.toml")

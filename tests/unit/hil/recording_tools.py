@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from servobench.hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
-from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.metrics import VerdictLimits
 from servobench.hil.verdict.verdict import DriveEnd, RunOutcome
 from tests.unit.hil.synthetic_run import DEADLINE
 

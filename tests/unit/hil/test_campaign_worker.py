@@ -28,6 +28,7 @@ from servobench.hil.control.own_code import OwnCodeFailed
 from servobench.hil.machine.stopping import Interrupted, StopRequest
 from servobench.hil.recording.recorder import recorder_of
 from servobench.hil.verdict.figures import StepResponse
+from servobench.hil.verdict.metrics import Beside
 from servobench.hil.verdict.summary import Summary
 from servobench.hil.verdict.verdict import Finding, VerdictKind
 from tests.unit.hil.recording_tools import plan_for
@@ -48,7 +49,8 @@ def certified(certificates: Mapping[str, Any]) -> Summary:
 
 
 def figures(of: Summary, axes: int = 1) -> dict[str, float | None]:
-    return {name: figure.of(of, axes) for name, figure in FIGURES.items()}
+    beside = Beside(of.cycles * axes, of.bus_load_percent)
+    return {name: figure.value(of, beside) for name, figure in FIGURES.items()}
 
 
 def test_the_figures_are_those_of_the_summary() -> None:

@@ -19,7 +19,7 @@ from servobench.hil.recorded.comparison import compare_runs
 from servobench.hil.recorded.comparison_page import write_comparison
 from servobench.hil.recording.page_series import AXIS_COLORS, GREY, torque_scale
 from servobench.hil.rows.records import Rows
-from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.metrics import VerdictLimits
 from servobench.hil.verdict.plain_values import from_plain
 from tests.page_text import page_text
 from tests.recorded_frames import write_frames

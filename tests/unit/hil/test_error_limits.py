@@ -9,7 +9,7 @@ from servobench.drivers.timebase import NS_PER_MS, Duration
 from servobench.hil.reviewing.tracking_error import SpeedErrorMeter, limit_points, speed_stretches
 from servobench.hil.rows.recording_plan import AxisPlan
 from servobench.hil.rows.records import Rows
-from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.metrics import VerdictLimits
 from tests.unit.hil.row_tools import plain_rows
 
 ACCELERATION, SETTLING = 5_000.0, 30

@@ -15,7 +15,7 @@ from servobench.hil.recorded.recorded_run import signals_of
 from servobench.hil.recorded.report import write_report
 from servobench.hil.rows.records import Rows
 from servobench.hil.verdict.figures import Percentiles
-from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.metrics import VerdictLimits
 from servobench.hil.verdict.summary import Summary
 from servobench.hil.verdict.summary_text import limit_rows
 from servobench.hil.verdict.verdict import (

@@ -21,7 +21,7 @@ from servobench.hil.reviewing.envelope import CodeLane, Envelope
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
 from servobench.hil.rows.records import LabelChange
-from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.metrics import VerdictLimits
 from tests.colour_sight import apart, contrast
 
 AXES: Final = ("axis1", "left arm")

@@ -15,7 +15,7 @@ from servobench.hil.verdict.figures import (
     StepResponse,
     WorstPlace,
 )
-from servobench.hil.verdict.limits import VerdictLimits, metric_title
+from servobench.hil.verdict.metrics import VerdictLimits, metric_title
 from servobench.hil.verdict.summary import summarise
 from servobench.hil.verdict.summary_text import certificate_lines, certificate_rows, timing_lines
 from servobench.hil.verdict.verdict import (

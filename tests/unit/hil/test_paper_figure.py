@@ -15,7 +15,7 @@ from servobench.hil.loop.cycle_record import NOTHING
 from servobench.hil.recorded.paper import histogram_figure, paper_figure, save_figure, svg_text
 from servobench.hil.recorded.recorded_run import RunSignals, signals_of
 from servobench.hil.rows.records import Rows
-from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.metrics import VerdictLimits
 from tests.unit.hil.made_runs import made_run
 from tests.unit.hil.row_tools import plain_rows
 

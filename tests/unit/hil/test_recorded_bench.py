@@ -24,7 +24,7 @@ from servobench.hil.rows.recording_plan import (
     RecordingPlan,
     ReviewPlan,
 )
-from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.metrics import VerdictLimits
 from tests.unit.hil.test_signal_file import written
 
 EXAMPLES: Final = Path(__file__).parents[3] / "examples"

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from servobench.hil.verdict.limits import LIMITED
+from servobench.hil.verdict.metrics import LIMITED
 from servobench.virtual_bus.faults.register import TABLES
 
 pytestmark = pytest.mark.long

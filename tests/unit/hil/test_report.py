@@ -11,7 +11,7 @@ from servobench.hil.configuration.bench_file import load_bench
 from servobench.hil.machine.progress import LINE_WIDTH, TerminalProgress, bar_line
 from servobench.hil.terminal.report import print_run, recording_lines, viewer_command
 from servobench.hil.verdict.figures import DropoutCounts, Percentiles, SpeedError
-from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.metrics import VerdictLimits
 from servobench.hil.verdict.summary import Summary
 from servobench.hil.verdict.verdict import CycleCount, Finding, RunOutcome, VerdictKind, judge
 from tests.unit.hil.recording_tools import whole_outcome

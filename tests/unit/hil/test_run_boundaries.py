@@ -20,7 +20,7 @@ from servobench.hil.rows.records_file import RecordsWriter
 from servobench.hil.testing.history import AxisHistory, Stretch
 from servobench.hil.testing.run import Run
 from servobench.hil.testing.wire import SeenFrame, Wire
-from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.metrics import VerdictLimits
 from servobench.hil.verdict.verdict import Finding, VerdictKind
 from tests.unit.hil.made_runs import BENCH
 from tests.unit.hil.row_tools import plain_rows

@@ -18,7 +18,7 @@ from servobench.hil.verdict.figures import (
     SpeedError,
     StepResponse,
 )
-from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.metrics import VerdictLimits
 from servobench.hil.verdict.plain_values import from_plain
 from servobench.hil.verdict.summary import Summary, summarise, summary_without_run
 from servobench.hil.verdict.summary_text import timing_lines
@@ -102,9 +102,10 @@ def test_what_is_found_after_the_end_is_in_the_verdict_and_nothing_else_changes(
 def test_losses_in_a_row_are_those_that_were_counted() -> None:
     us = FIGURES.reading_delay_us
     bare = Figures(0, 0, 0, FIGURES.dropouts, us, us, us, FIGURES.speed_error, us, us, "")
-    assert (bare.reading_losses_in_a_row, bare.dropouts_percent, bare.missed_percent) == (0, None, None)
-    (check,) = summarise(bare, whole_outcome(0), VerdictLimits(losses_in_a_row_max=0.0), "", 1).verdict.limits
-    assert check.value is None, "without a row none was counted"
+    assert bare.reading_losses_in_a_row == 0
+    limits = VerdictLimits(losses_in_a_row_max=0.0, dropouts_percent_max=0.0, missed_percent_max=0.0)
+    checks = summarise(bare, whole_outcome(0), limits, "", 1).verdict.limits
+    assert [check.value for check in checks] == [None] * 3, "without a row none was counted"
 
 
 @pytest.mark.parametrize("faults", [(), ("run.rrd is incomplete",)])

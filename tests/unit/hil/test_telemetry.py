@@ -19,7 +19,7 @@ from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
 from servobench.hil.rows.records import Rows
 from servobench.hil.rows.side_rows import BeginEvent, IdentityEvent, RunEvent, StateEvent, TextEvent
-from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.metrics import VerdictLimits
 from servobench.hil.verdict.plain_values import from_plain
 from servobench.hil.verdict.summary import Summary, summarise
 from tests.rrd_columns import columns, lane, numbers, view_ranges

@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.metrics import VerdictLimits
 from servobench.hil.verdict.plain_values import from_plain
 from servobench.hil.verdict.verdict import (
     CycleCount,

@@ -10,7 +10,7 @@ import pytest
 from servobench.hil.recording.verdict_text import running_markdown, verdict_markdown
 from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
 from servobench.hil.verdict.figures import DropoutCounts, Percentiles, SpeedError, StepResponse
-from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.metrics import VerdictLimits
 from servobench.hil.verdict.summary import checks_so_far
 from servobench.hil.verdict.verdict import Check, LimitResult
 from tests.unit.hil.recording_tools import plan_for

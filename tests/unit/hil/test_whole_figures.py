@@ -14,7 +14,7 @@ from servobench.hil.recording.whole_figures import WholeFigures, in_view
 from servobench.hil.reviewing.envelope import Envelope
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
-from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.metrics import VerdictLimits
 from tests.unit.hil.recording_tools import plan_for
 
 STEP: Final = 100_000
