@@ -29,7 +29,7 @@ FusedGains = Annotated[
 ]
 
 
-class _PredictingController(AxisController):
+class PredictingController(AxisController):
     """Predicts the state to the instant at which a command acts, and cancels the load."""
 
     inertia_kg_m2: Inertia = Field(description="of all that turns, kg m^2")
@@ -90,7 +90,7 @@ class _PredictingController(AxisController):
         return design_position(period / NS_PER_S, delay / NS_PER_S, bandwidth_rad_s)
 
 
-class PredictorController(_PredictingController):
+class PredictorController(PredictingController):
     """By the speed alone, with gains that follow losses and load steps."""
 
     kind: Literal["predictor"]
@@ -112,7 +112,7 @@ class PredictorController(_PredictingController):
         return self.feedback(predictor, setup)
 
 
-class FusedController(_PredictingController):
+class FusedController(PredictingController):
     """By count and speed of each sample, 6064h and 606Ch of one SYNC, with constant gains."""
 
     kind: Literal["fused"]

@@ -36,9 +36,10 @@ from servobench.hil.configuration.drive_current_loop import (
     slow_for_pid,
 )
 from servobench.hil.configuration.network_file import Network, commands_unknown, load_network
-from servobench.hil.configuration.predicting_controllers import PredictorController
+from servobench.hil.configuration.predicting_controllers import PredictingController
 from servobench.hil.loop.cycle_record import CycleRecord
 from servobench.hil.loop.samples import Sample
+from servobench.hil.loop.scenario import Quantity
 from servobench.hil.rows.recording_plan import CertifiedPlan
 from servobench.virtual_bus.drive.encoder import SpeedMethod
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
@@ -52,7 +53,7 @@ REMEDY: Final = (
 )
 _RELATIVE = 1e-6
 """Controller files hold the motor's figures in full: a difference beyond rounding means another motor."""
-_Certified = StateFeedbackController | PredictorController | HinfSection
+_Certified = StateFeedbackController | PredictingController | HinfSection
 """Controllers whose files may state what they were made for."""
 
 Record = Callable[[CycleRecord], None]
@@ -324,6 +325,8 @@ class Certificates:
         :mod:`servobench.hil.reviewing.certificate_meter`."""
         for key, value, expected in self._axis_faults(axis):
             yield f"{key}: {value}, expected {expected}"
+        if self._config.quantity(axis) is Quantity.POSITION:
+            yield f"reference.{axis}: positions, expected speeds, without a loop of the position around"
         yield from self._flexible(axis)
         yield from self._sensed(axis)
         if self._config.simulated:

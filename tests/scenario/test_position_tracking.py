@@ -206,3 +206,12 @@ def test_a_cycle_without_a_length_is_refused(servo_bench: BenchRunner, tmp_path:
     entry = {"kind": "file", "at_s": 0.1, "path": str(tmp_path / "one.csv"), "repeats": True}
     with pytest.raises(BadInput, match=r"reference\.axis1\[0\]\.repeats.* comes at 0 s"):
         servo_bench(CST, changes(CST, [entry]))
+
+
+@pytest.mark.parametrize(("quantity", "left"), [("speed_rpm", False), ("position_rad", True)])
+def test_a_certificate_of_the_speed_loop_presumes_that_no_loop_is_around_it(
+    servo_bench: BenchRunner, quantity: str, left: bool
+) -> None:
+    ramp = {"kind": "s_curve", "at_s": 0.1, "over_s": 0.2, quantity: 1.0}
+    certificate = servo_bench(CST, changes(CST, [ramp])).summary.certificates["axis1"]
+    assert any("positions, expected speeds" in each for each in certificate["premises_left"]) is left

@@ -11,7 +11,7 @@ import pytest
 from servobench.drivers.errors import BadInput
 from servobench.hil.configuration.bench_file import load_controller
 from servobench.hil.configuration.motor_file import LING2012
-from servobench.hil.configuration.predicting_controllers import PredictorController
+from servobench.hil.configuration.predicting_controllers import PredictingController
 from servobench.hil.execution.network_guard import Certificates
 from tests import floor_runs
 from tests.floor_runs import LOAD_AT_S, PERIOD_S, Case, lost_ratio
@@ -73,9 +73,10 @@ def test_another_inertia_costs_little(inertia: float) -> None:
     assert run.peak_rad_s(0.1) / CASE.floor_rad_s(inertia) < 1.3
 
 
-def test_a_run_refuses_a_drive_and_a_period_that_it_was_not_made_for() -> None:
-    controller = load_controller(FILE)
-    assert isinstance(controller, PredictorController)
+@pytest.mark.parametrize("name", ["predictor", "fused"])
+def test_a_run_refuses_a_drive_and_a_period_that_it_was_not_made_for(name: str) -> None:
+    controller = load_controller(FILE.with_name(f"ling2012-{name}.toml"))
+    assert isinstance(controller, PredictingController)
     assert controller.made_for is not None
     whole = controller.model_dump(mode="json", exclude_none=True)
     assert Certificates(CASE.config(whole)).faults({}) == []
