@@ -149,7 +149,7 @@ class RunStore:
         self.cut_short = (
             f"{folder / SEAL_FILE}: {seal.cut_short}, as a kill leaves it" if seal.cut_short else ""
         )
-        """What shows that the campaign resumed was not left in order; empty: it was."""
+        """Sign that the campaign resumed was not left in order; empty: it was."""
         self._runs = folder / RUNS_FOLDER
         self.schema = schema_of(plan)
         self._runs.mkdir(exist_ok=True)

@@ -44,7 +44,7 @@ class CertificateTable(NamedTuple):
     widths: tuple[float, ...]
     """Shares of a page's width."""
     empty: str = ""
-    """What is said where there is no row; empty: the section is left out."""
+    """Text where there is no row; empty: the section is left out."""
 
 
 class FiledCertificate(NamedTuple):

@@ -259,7 +259,7 @@ class CommissionRequest:
     allow: tuple[Foreign, ...] = Guard().allow
     """Frames that others may send, as in ``[guard]`` of a bench."""
     laboratory: Laboratory = field(default_factory=Laboratory)
-    """Of the certificate."""
+    """The laboratory that the certificate names."""
 
     @property
     def heartbeat_ms(self) -> int:

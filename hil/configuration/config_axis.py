@@ -68,7 +68,7 @@ _STANDARDS: Final[dict[int, _Standard]] = {
     Object.DC_LINK_CIRCUIT_VOLTAGE: _Standard("DC link voltage", 1e-3, "V"),
 }
 ENTRIES_MAX: Final = 8 * len(NUMBERS)
-"""As many as the PDOs hold, at a byte each."""
+"""Most entries that the PDOs hold, at a byte each."""
 
 
 class ObservedObject(Section):

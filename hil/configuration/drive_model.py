@@ -122,9 +122,9 @@ class ProtectionTable(Section):
     """``[protection]``: limits at which the power stage opens by itself; absent: not watched."""
 
     over_voltage_v: Voltage | None = None
-    """Of the DC link: fault 3210h."""
+    """Greatest voltage of the DC link: fault 3210h."""
     under_voltage_v: Voltage | None = None
-    """Of the DC link while the drive is enabled: fault 3220h."""
+    """Least voltage of the DC link while the drive is enabled: fault 3220h."""
     over_current_a_rms: Current | None = None
     """Amplitude of the current as A rms: fault 2310h."""
     overload: OverloadTable | None = None

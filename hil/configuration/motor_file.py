@@ -238,7 +238,7 @@ class MotorFile(FromPreset):
 
     @property
     def tables(self) -> dict[str, Any]:
-        """What is to be written into a file."""
+        """Tables as they are written into a file."""
         return self.model_dump(mode="json", exclude_none=True, exclude={"preset"})
 
     @property

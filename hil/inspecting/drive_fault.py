@@ -21,7 +21,7 @@ _HISTORY_MAX = 16
 
 @dataclass(frozen=True, slots=True)
 class DriveDiagnosis:
-    """What a drive says of itself."""
+    """State and faults of a drive, in its own words."""
 
     node: int
     device: str

@@ -32,7 +32,7 @@ _NO_WAIT: Final = Duration(0)
 
 @dataclass(frozen=True, slots=True)
 class Adapters:
-    """What on this machine can be a bus."""
+    """Possible buses of this machine."""
 
     can_links: tuple[CanLink, ...]
     serial_ports: tuple[SerialPort, ...]
@@ -53,7 +53,7 @@ class Adapters:
 
 @dataclass(frozen=True, slots=True)
 class ScanPlan:
-    """What is to be done on a bus."""
+    """Tasks on a bus."""
 
     spec: BusSpec
     bitrate_bit_s: int | None
@@ -71,7 +71,7 @@ class ScanPlan:
 
 @dataclass(slots=True)
 class BusReport:
-    """What was found on a bus."""
+    """Findings on a bus."""
 
     spec: str
     bitrate_bit_s: int | None

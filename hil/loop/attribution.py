@@ -1,4 +1,4 @@
-"""What the two ways of placing readings share: what they rest on, what they found, what is still open.
+"""The common part of both ways to place readings: what they rest on, what they found, what is still open.
 
 A drive whose stamp comes with the speed is placed by it (:mod:`servobench.hil.loop.stamp_attribution`),
 another one by the order of SYNCs and readings on the bus (:mod:`servobench.hil.loop.order_attribution`).
@@ -21,7 +21,7 @@ Tell = Callable[[str], None]
 
 
 class Health:
-    """What was seen that a run must be judged by."""
+    """Observations by which a run must be judged."""
 
     def __init__(self) -> None:
         self.placed = 0
@@ -57,7 +57,7 @@ class Health:
 
 
 class Question:
-    """What is held back while it is open which SYNCs the last readings answer.
+    """Rows and readings held back while it is open which SYNCs the last readings answer.
 
     A reading that comes meanwhile is marked uncertain at first. With the answer its mark is taken back, or
     stays; the rows of a run wait for that (:data:`HELD_MAX` cycles, :data:`HELD_FOR` at most).
@@ -69,9 +69,9 @@ class Question:
         """While it is open: the first cycle whose reading had been placed and may not have been its own; None
         if no such one is in doubt."""
         self.cleared = False
-        """Whether a question ended without leaving a reading uncertain, since this was last set back."""
+        """True if a question ended without leaving a reading uncertain, since this was last set back."""
         self.left_open = False
-        """Whether one ended with the last reading and left some uncertain; the next may have begun then."""
+        """True if one ended with the last reading and left some uncertain; the next may have begun then."""
         self._doubted: dict[int, int] = {}
         """Bounds of rows whose readings may be others'."""
         self._proved: dict[int, tuple[Instant, int]] = {}

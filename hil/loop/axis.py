@@ -28,12 +28,12 @@ from servobench.hil.loop.syncs import SyncLog, SyncMark
 from servobench.hil.loop.way_back import WayBack
 
 _SHOWN_BY_OTHERS: Final = (DropoutCause.LOST, DropoutCause.STALE)
-"""What a cycle's reading is known to be by the places of other readings."""
+"""Causes that the places of other readings show."""
 
 
 @dataclass(frozen=True, slots=True)
 class AxisParts:
-    """What an axis is put together from."""
+    """Parts of an axis."""
 
     name: str
     drive: Drive
@@ -42,12 +42,12 @@ class AxisParts:
     guard: SafetyGuard
     """It makes the demands of the controller commands: of a torque, a speed or a position."""
     reference: ReferenceProfile
-    """Of a position it is counted from where the shaft is when the run begins."""
+    """A position is counted from where the shaft is when the run begins."""
     load: ReferenceProfile
     """Torques that oppose positive speed."""
     load_machine: LoadMachine | None
     syncs: SyncLog
-    """Of the axis's segment."""
+    """SYNCs of the axis's segment."""
     transit: Duration
     """The shortest time that a reading's frame takes on the wire."""
     deadline: Duration
@@ -109,7 +109,7 @@ class Axis:
 
     @property
     def wants_probe(self) -> bool:
-        """Whether the next SYNC should go out a quarter of a period late: its reading shows whose it is."""
+        """True if the next SYNC should go out a quarter of a period late: its reading shows whose it is."""
         return self.by_order.wants_probe or self.by_stamp.doubt.wants_probe
 
     def probed(self) -> None:
@@ -214,8 +214,8 @@ class Axis:
             self._take_telling(telling)
 
     def has_expected(self, sequence: int, decide_after: Duration) -> bool:
-        """Whether nothing more is to be expected before the decision of this cycle: a reading that usually
-        takes longer than until then is awaited in a later cycle."""
+        """Return whether nothing more is to be expected before the decision of this cycle: a reading that
+        usually takes longer than until then is awaited in a later cycle."""
         overdue = self.meter.typical_delay - decide_after
         behind = -(-overdue // self._period) if overdue > 0 else 0
         return self.meter.newest >= sequence - behind

@@ -1,4 +1,4 @@
-"""What an axis asks of its compensator, its controller and its load machine.
+"""Roles beside an axis: its compensator, its controller and its load machine.
 
 The first two are version 1 of the protocol for controllers of one's own, ``docs/control.md``.
 """
@@ -69,7 +69,7 @@ class Controller:
 
 
 class LoadMachine(Protocol):
-    """What puts a load on the shaft."""
+    """A load on the shaft."""
 
     def set_torque(self, torque_nm: float) -> None:
         """Ask for a load torque, N m; positive opposes positive speed. Does not block."""

@@ -43,11 +43,11 @@ class ClockMap:
         """``resolution``: of a stamp, which is rounded down to a multiple of it."""
         self.set_resolution(resolution)
         self.ready = False
-        """Whether at least one stamp with its SYNC has been seen."""
+        """True if at least one stamp with its SYNC has been seen."""
         self._device_ns = 0
         self._host_ns = 0
         self._part_ns = 0.0
-        """What ``_host_ns``, a whole number, lacks."""
+        """Remainder that ``_host_ns``, a whole number, lacks."""
         self._rate = 0.0
         self._offset_var = 0.0
         self._cross = 0.0
@@ -57,7 +57,7 @@ class ClockMap:
         """Stamps from now on are rounded down to a multiple of ``resolution``."""
         self.resolution = self.off_most = resolution
         self._rounding_variance = resolution**2 / 12.0
-        """Of a value that is equally likely anywhere in a step, ns^2."""
+        """Variance of a value that is equally likely anywhere in a step, ns^2."""
 
     @property
     def drift_ppm(self) -> float:
@@ -81,7 +81,7 @@ class ClockMap:
 
     @property
     def error_ns(self) -> int:
-        """Of a placed instant: the resolution of a stamp and four standard deviations of the line."""
+        """Error of a placed instant: the resolution of a stamp and four standard deviations of the line."""
         return self.off_most + int(4.0 * math.sqrt(self._offset_var))
 
     def since_last(self, device_ns: int) -> int:

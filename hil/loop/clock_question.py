@@ -1,4 +1,4 @@
-"""Whether a drive's clock was set: the ways to place readings whose stamps, or delays, put the question.
+"""The question whether a drive's clock was set: ways to place readings whose stamps, or delays, put it.
 
 The readings of a clock that runs on lie on one line, a SYNC each. Shifted by whole periods they do so again:
 
@@ -39,8 +39,8 @@ EXCLUDING: Final = 12.0
 """A line is none if another is e^12, 160 000 times, likelier by how far the readings lie off it. So SYNCs
 that are not at equal distances tell which ones they are."""
 MISFIT_MOST: Final = 2.0
-"""Of each suspect on a line; half is usual. Those of a clock that was set twice lie on two lines, and on none
-between."""
+"""Most misfit of each suspect on a line; half is usual. Those of a clock that was set twice lie on two lines,
+and on none between."""
 RARE: Final = 8
 """One suspect in so many may lie off its SYNC by more than any stamp did though the clock was not set,"""
 OUTLYING: Final = 4.0
@@ -64,11 +64,11 @@ class Suspect:
         self.device_ns = device_ns
         self.received_at = received_at
         self.second = known is not None
-        """Whether it lies on a SYNC that has a reading already,"""
+        """True if it lies on a SYNC that has a reading already,"""
         self.repeats = known == device_ns
         """with the same stamp, as a clock makes some again that is set back."""
         self.early = early
-        """Whether it would have come before its SYNC if the clock was not set."""
+        """True if it would have come before its SYNC if the clock was not set."""
         self.guess = SURPLUS
         """The cycle in which it was placed, uncertain."""
 
@@ -82,9 +82,9 @@ class Line(NamedTuple):
     marks: tuple[SyncMark | None, ...]
     """The SYNC of each; None where it was not heard, which the first one's was."""
     steps: bool
-    """Whether the clock was set."""
+    """True if the clock was set."""
     misfit: float
-    """Of how far they lie off it, the logarithm of how much likelier none would be."""
+    """Logarithm of how much likelier no line would be, by how far they lie off it."""
 
     @property
     def first_at(self) -> Instant:
@@ -96,12 +96,12 @@ class Line(NamedTuple):
 
     @property
     def unlikely(self) -> bool:
-        """Whether more than losses must have happened."""
+        """True if more than losses must have happened."""
         return self.cost >= STEP_COST
 
 
 class ClockQuestion:
-    """What is known while the question is open, and the ways out of it."""
+    """Knowledge while the question is open, and the ways out of it."""
 
     def __init__(
         self,
@@ -113,7 +113,7 @@ class ClockQuestion:
     ) -> None:
         """``transit``: shortest time of a reading's frame. ``at_arrival``: see :meth:`unstamped_ns`."""
         self.stamps: dict[int, int] = {}
-        """Of each SYNC answered, by its number: the stamp."""
+        """Stamps of the SYNCs answered, by their numbers."""
         self.delays = DelayExtremes()
         """From a SYNC to its reading."""
         self.revoked: list[tuple[SyncMark, int]] = []
@@ -145,7 +145,7 @@ class ClockQuestion:
         return min(error_ns, max(after, self.delays.late(delay, self._transit) - after))
 
     def hidden_ns(self, delay: int) -> int:
-        """What the SYNC of a reading of ``delay`` may have been late at the drive, its stamp not telling."""
+        """Return how late the SYNC of a reading of ``delay`` may have been, its stamp not telling."""
         hidden = self._stamps.hidden_ns
         return min(hidden, self.delays.late(delay, self._transit)) if hidden else 0
 
@@ -176,7 +176,7 @@ class ClockQuestion:
         return rivals
 
     def _is_late(self, before: SyncMark, mark: SyncMark) -> bool:
-        """Whether ``before`` has no reading when that of ``mark`` comes, within half a period behind it."""
+        """True if ``before`` has no reading when that of ``mark`` comes, within half a period behind it."""
         if not self._at_arrival or before.number > mark.number or before.number in self.stamps:
             return False
         assert before.on_bus_at is not None
@@ -184,9 +184,9 @@ class ClockQuestion:
         return mark.on_bus_at - before.on_bus_at < self._half
 
     def excludes_steps(self, mark: SyncMark, delay: int, suspects: list[Suspect]) -> bool:
-        """Whether a ``delay`` from the SYNC of ``mark`` would be unusual from those beside it, as a clock set
-        by whole periods would have it; not if those of many suspects are longer, too. The stamp tells a SYNC
-        apart whose distance is no period."""
+        """Return whether a ``delay`` from the SYNC of ``mark`` would be unusual from those beside it, as a
+        clock set by whole periods would have it; not if those of many suspects are longer, too. The stamp
+        tells a SYNC apart whose distance is no period."""
         gaps = [(other.on_bus_at or 0) - (mark.on_bus_at or 0) for other in self._syncs.beside(mark)]
         gaps = [gap for gap in gaps if abs(abs(gap) - 2 * self._half) <= self._half // 4]
         before = min([2 * self._half, *(-gap for gap in gaps if gap < 0)])
@@ -220,7 +220,7 @@ class ClockQuestion:
                 self._stamps.residuals.add_questioned(residual, self._stamps.match_ns, 2 * self._half)
 
     def was_set(self, suspects: list[Suspect]) -> bool:
-        """Whether the clock is not as it was: a suspect would have come before the SYNC next to its stamp."""
+        """True if the clock is not as it was: a suspect would have come before the SYNC next to its stamp."""
         for suspect in suspects:
             mark = self._syncs.nearest(self._stamps.clock.place(suspect.device_ns))
             latest = suspect.received_at - self._transit + self._stamps.match_ns
@@ -314,15 +314,15 @@ class ClockQuestion:
         return self._costed(marks, smallest, steps, misfit)
 
     def _is_anothers(self, mark: SyncMark, suspect: Suspect) -> bool:
-        """Whether the SYNC of ``mark`` has a reading that is not the suspect."""
+        """Return whether the SYNC of ``mark`` has a reading that is not the suspect."""
         known = self.stamps.get(mark.number)
         return known is not None and (known != suspect.device_ns or suspect.repeats)
 
     def _is_second(
         self, answered: SyncMark, stamp: int, last: list[Suspect], marks: list[SyncMark | None]
     ) -> bool:
-        """Whether a SYNC that was ``answered`` with a stamp has another one on this way: no clock that runs
-        on makes two of one SYNC."""
+        """Return whether a SYNC that was ``answered`` with a stamp has another one on this way: no clock that
+        runs on makes two of one SYNC."""
         return any(
             mark is not None
             and mark.number == answered.number
@@ -380,7 +380,7 @@ class ClockQuestion:
         return [each for each, delay in zip(placed, delays, strict=True) if delay <= most]
 
     def _agrees(self, used: set[int], moved: int) -> bool:
-        """Whether the readings before the suspects can be placed as well, if the clock was set among them.
+        """True if the readings before the suspects can be placed as well, if the clock was set among them.
 
         Those since then lie ``moved`` SYNCs from where they were placed; no two may lie on one SYNC.
         """

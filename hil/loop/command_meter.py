@@ -1,4 +1,4 @@
-"""What became of each command of an axis, from its echo and from the torque demand that the drive tells.
+"""Fate of each command of an axis, from its echo and from the torque demand that the drive tells.
 
     SYNC ends           s1              s2              s3
     commands        1       2               3                on the bus
@@ -53,7 +53,7 @@ class CommandMeter:
         self.out_of_order = 0
         """Tellings that equal a command older than one that had been followed by then."""
         self.patient = False
-        """Whether a telling may come later than a newer one: a command that was replaced is open until the
+        """True if a telling may come later than a newer one: a command that was replaced is open until the
         horizon."""
         self._horizon = horizon
         self._window = horizon + REPLACED_CYCLES
@@ -69,12 +69,12 @@ class CommandMeter:
         self._past = 0
         """So many of them are older than any that may still be followed."""
         self._before_raw: int | None = None
-        """What may be followed of those in the past, or before the first command; None: not known."""
+        """Demand that may be followed of those in the past, or before the first command; None: not known."""
         self._telling = False
         self._stamping = False
-        """Whether changes are told with a stamp."""
+        """True if changes are told with a stamp."""
         self._unordered = False
-        """Whether commands have overtaken one another on the way, by the drive's own stamps."""
+        """True if commands have overtaken one another on the way, by the drive's own stamps."""
         self._last_told: tuple[Instant, SyncMark | None] = (NEVER_YET, None)
         self._exact: SyncMark | None = None
         """The last SYNC with an exact telling."""
@@ -191,7 +191,7 @@ class CommandMeter:
         return True
 
     def _note_steady(self, equal: list[int], until: Instant) -> None:
-        """Of the commands at ``equal`` one is followed."""
+        """Note that one of the commands at ``equal`` is followed."""
         oldest, newest = equal[0], equal[-1]
         first = max(oldest, self._past)
         if len(equal) != newest - first + (2 if oldest < 0 else 1):
@@ -201,7 +201,7 @@ class CommandMeter:
             self._steady_from, self._steady_to = oldest, newest
 
     def _any_there(self, place: int, at: Instant) -> bool:
-        """Whether any command from ``place`` on may have been there by ``at``."""
+        """Return whether any command from ``place`` on may have been there by ``at``."""
         while place < len(self._followed) and not self._followed[place].may_be_there(at):
             place += 1
         return place < len(self._followed)
@@ -291,7 +291,7 @@ class CommandMeter:
                     command.not_before_usual = since
 
     def _settled_by(self, since: Instant, sync: SyncMark | None) -> Instant:
-        """What was there by then, and is not followed in a telling of these, was passed over."""
+        """Return when one is passed over that was there and is not followed in a telling of these."""
         if self._at_syncs:
             previous = None if sync is None else self._syncs.end_before(sync)
             return NEVER_YET if previous is None else Instant(previous - self._echo_error)
@@ -354,7 +354,7 @@ class CommandMeter:
         self._exact = sync
 
     def outcome(self, sequence: int, now: int) -> Sending | None:
-        """What became of the command of cycle ``sequence``, seen from cycle ``now``; None while it is open.
+        """Return the fate of the command of cycle ``sequence``, seen from ``now``; None while it is open.
 
         To be asked in order of the cycles that sent one; what was told of is forgotten.
         """
@@ -381,7 +381,7 @@ class CommandMeter:
         )  # fmt: skip
 
     def _outcome_unseen(self, command: FollowedCommand, age: int) -> CommandFate | None:
-        """Of a command that no telling was certainly of, after ``age`` cycles."""
+        """Return the fate of a command that no telling was certainly of, after ``age`` cycles."""
         no_echo = command.shows and command.sent.on_bus_at is None
         missing = no_echo and command.sent.handed_at > self._syncs.unheard_until
         if command.replaced and not missing:

@@ -1,4 +1,4 @@
-"""What a controller and a compensator are told in a cycle, and what a controller answers with."""
+"""Context of a controller and a compensator in a cycle, and the answer of a controller."""
 
 import math
 from typing import Final
@@ -19,7 +19,7 @@ class WrongSetPoint(BenchError):
 
 
 class SetPoint(Record):
-    """What a controller asks of its drive; one of the three below."""
+    """A controller's demand on its drive; one of the three below."""
 
 
 class TorqueSetPoint(SetPoint):
@@ -78,7 +78,7 @@ class Context:
         self._reference = reference
         self._time_s = 0.0
         self.period: Final = period
-        """Of the loop, ns."""
+        """Period of the loop, ns."""
         self.sequence = 0
         """Number of the cycle, from 1."""
         self.due_at = Instant(0)
@@ -96,7 +96,7 @@ class Context:
         self.dropouts = 0
         """Cycles in a row, up to this one, in which no usable reading has come."""
         self.follows = True
-        """Whether the drive follows its commands, as far as it tells. While it does not, ``update`` and
+        """True if the drive follows its commands, as far as it tells. While it does not, ``update`` and
         ``sent`` are given what acts in place of the command, and the reference is where the shaft is; from
         there it comes back afterwards, see :mod:`servobench.hil.loop.way_back`."""
         self.sent: Command | None = None
@@ -136,13 +136,13 @@ class Context:
             self.dropouts += 1
 
     def preview(self, periods: int) -> list[float]:
-        """What is asked for in this cycle and the ``periods`` after it: speeds, rad/s, or what else the
-        reference is of, positions, rad, or torques, N m."""
+        """Return the references of this cycle and of the ``periods`` after it: speeds, rad/s, or what else
+        the reference is of, positions, rad, or torques, N m."""
         period_s = self.period / NS_PER_S
         return [self._reference.value(self._time_s + ahead * period_s) for ahead in range(periods + 1)]
 
     def reference_at(self, instant: Instant) -> float:
-        """What is asked for at an instant, past or to come; units as of :meth:`preview`."""
+        """Return the reference at an instant, past or to come; units as of :meth:`preview`."""
         return self._reference.value(self._time_s + (instant - self.due_at) / NS_PER_S)
 
     def reference_rate_at(self, instant: Instant) -> float:

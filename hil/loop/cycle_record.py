@@ -80,7 +80,7 @@ class CycleRecord(Record):
     clock_error_ns: int | None
     compute_ns: int | None = None
     channels: Sequence[float] = ()
-    """What the controller told of its own, by its ``channels``."""
+    """Values that the controller told of its own, by its ``channels``."""
     reference_rad: float | None = None
     reference_nm: float | None = None
 

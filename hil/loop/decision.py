@@ -13,7 +13,7 @@ from servobench.hil.loop.syncs import SyncMark
 
 @mypyc_attr(acyclic=True, free_list_len=1)
 class Tick:
-    """What all axes of a cycle share."""
+    """Data that all axes of a cycle share."""
 
     def __init__(self, sequence: int, due_at: Instant, woke_at: Instant | None, time_s: float) -> None:
         """``woke_at``: None for a tick for which the host was not there; ``time_s``: since the run began."""
@@ -25,7 +25,7 @@ class Tick:
 
 @mypyc_attr(free_list_len=1)
 class Decision:
-    """What was done in one cycle, while the fates of its reading and of its command may still be open."""
+    """Acts of one cycle, while the fates of its reading and of its command may still be open."""
 
     def __init__(self, tick: Tick, reference_rad_s: float, load_torque_nm: float) -> None:
         self.tick = tick

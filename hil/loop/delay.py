@@ -1,4 +1,4 @@
-"""What became of each SYNC's reading, and how long it took.
+"""Fate of each SYNC's reading, and how long it took.
 
     SYNC        1      2      3      4      5
     reading     |--1   |------:---2  |--4   |--5
@@ -53,7 +53,7 @@ class _Outstanding:
         self.heard_ns = heard_ns
         self.fate: Fate | None = None
         self.doubtful = False
-        """Whether the fate rests on a reading of uncertain place."""
+        """True if the fate rests on a reading of uncertain place."""
 
 
 class _Doubt:
@@ -74,7 +74,7 @@ class DelayMeter:
         self._outstanding: list[_Outstanding] = []
         self._newest = 0
         self._newest_certain = 0
-        """As ``newest``, of readings whose place was certain: only to them another is certainly stale."""
+        """Like ``newest``, for readings whose place was certain: only to them another is certainly stale."""
         self._typical_ns = 0.0
         self._doubts: list[_Doubt] = []
         """The oldest first."""
@@ -199,7 +199,7 @@ class DelayMeter:
         del self._doubts[self._kept :]
 
     def doubts(self, sequence: int) -> bool:
-        """Whether a reading of uncertain place may have been that of cycle ``sequence``."""
+        """Return whether a reading of uncertain place may have been that of cycle ``sequence``."""
         near = self._horizon
         return any(doubt.first - near <= sequence <= doubt.last + near for doubt in self._doubts)
 

@@ -75,7 +75,7 @@ class LatchSteps:
 
 
 class DriveStamps:
-    """What is known of the stamps of one drive."""
+    """Knowledge of the stamps of one drive."""
 
     def __init__(
         self, period: Duration, echo_error: int, resolution: Duration, echoes_late: bool = False
@@ -86,7 +86,7 @@ class DriveStamps:
         self.residuals = Residuals(echo_error / 3.0)
         self._changes = LatchSteps()
         self.resolution = self._told = resolution
-        """As given, or as the steps of the stamps have shown while learning."""
+        """Resolution as given, or as the steps of the stamps have shown while learning."""
         self._echo_error = echo_error
         self._echoes_late = echoes_late
         self._period = period
@@ -103,17 +103,17 @@ class DriveStamps:
         self._grid = 0
         """The greatest common divisor of all distances from the first stamp, as far as it is looked for."""
         self._heard_late = False
-        """Whether SYNCs are another's, and their instants may all be late: they show no steps of stamps."""
+        """True if SYNCs are another's, and their instants may all be late: they show no steps of stamps."""
         self._may_hide = 0
 
     @property
     def coarse(self) -> bool:
-        """Whether they tell which SYNC they are of, but hardly when that came to the drive."""
+        """True if they tell which SYNC they are of, but hardly when that came to the drive."""
         return COARSE_PARTS * self.resolution > self._period
 
     @property
     def too_coarse(self) -> bool:
-        """Whether they do not tell which SYNC they are of."""
+        """True if they do not tell which SYNC they are of."""
         parts = COARSEST_PARTS if self._echo_error <= NS_PER_US else COARSE_PARTS
         return parts * self.resolution > self._period
 
@@ -129,12 +129,13 @@ class DriveStamps:
 
     @property
     def variance_ns2(self) -> float:
-        """Of a stamp from its SYNC."""
+        """Variance of a stamp from its SYNC."""
         return self.residuals.change_ns**2 + self.resolution**2 / 12.0
 
     @property
     def hidden_ns(self) -> int:
-        """What a SYNC may be late at the drive without its stamp telling, as that may wait for a tick."""
+        """Greatest lateness of a SYNC at the drive that its stamp may not tell, as that may wait for a
+        tick."""
         return max(self._may_hide, self.residuals.hidden)
 
     def change_error_ns(self, device_ns: int) -> int:
@@ -181,23 +182,24 @@ class DriveStamps:
             self.clock.start_anew(list(self._learned), self._echo_variance_ns2)
 
     def _shows_uneven(self, pairs: list[tuple[int, Instant]]) -> bool:
-        """Whether SYNCs came at distances so uneven that stamps that wait for a tick would lie off them."""
+        """Return whether SYNCs came at distances so uneven that stamps that wait for a tick would lie off
+        them."""
         first_at = pairs[0][1]
         even = [(round((at - first_at) / self._period) * self._period, at) for _, at in pairs]
         off = residuals_of(even)
         return max(off) - min(off) > 4 * self.unmapped_ns
 
     def _explains(self, step: int) -> bool:
-        """Whether a coarse resolution that was told explains all that is seen of a larger ``step``, which may
-        be that of the SYNCs: they are late by parts of a period only."""
+        """Return whether a coarse resolution that was told explains all that is seen of a larger ``step``,
+        which may be that of the SYNCs: they are late by parts of a period only."""
         if self._told <= STAMP_RESOLUTION or 2 * step <= self._period:
             return False
         off = residuals_of(list(self._learned))
         return max(off) - min(off) <= self._told
 
     def show_coarser(self, device_ns: int) -> bool:
-        """Whether this stamp and all before lie on a grid that is too coarse: their resolution from now on.
-        SYNCs at equal distances hide such steps until the clock's rate has moved it against them."""
+        """Return whether this stamp and all before lie on a grid that is too coarse: their resolution from
+        now on. SYNCs at equal distances hide such steps until the clock's rate has moved it against them."""
         assert self._first is not None
         before = self.resolution
         self.resolution = Duration(math.gcd(self._grid, device_ns - self._first))
@@ -213,13 +215,14 @@ class DriveStamps:
         return MATCH_NS + off - STAMP_RESOLUTION + self._echo_error
 
     def fits(self, residual: int) -> bool:
-        """Whether a stamp lies on its SYNC: as near as others do, and not so far that it may be another's."""
+        """Return whether a stamp lies on its SYNC: as near as others do, and not so far that it may be
+        another's."""
         most = max(self.match_ns, self._farthest)
         middle = self.residuals.middle if self.residuals.spread else 0
         return -most <= residual - middle <= most and self.reaches(residual)
 
     def reaches(self, residual: int) -> bool:
-        """Whether a stamp lies as near to a SYNC as others do to theirs, be it nearer to another."""
+        """Return whether a stamp lies as near to a SYNC as others do to theirs, be it nearer to another."""
         residuals = self.residuals
         least = self.match_ns + residuals.slack
         return -least - residuals.early <= residual <= least + residuals.late
@@ -243,8 +246,8 @@ class DriveStamps:
         return on_bus_at
 
     def lie_early(self, pairs: list[tuple[int, Instant]]) -> bool:
-        """Whether all of these stamps lie before their SYNCs by more than any has: a clock was set back, by
-        less than stamps spread over. Late ones may be late SYNCs too, which their bounds hold."""
+        """Return whether all of these stamps lie before their SYNCs by more than any has: a clock was set
+        back, by less than stamps spread over. Late ones may be late SYNCs too, which their bounds hold."""
         latest = self.residuals.least - self.residuals.slack - self.match_ns
         return all(self.clock.place(device_ns) - at < latest for device_ns, at in pairs)
 

@@ -57,32 +57,34 @@ class FollowedCommand:
         self.passes = 0
         """SYNCs from its arrival to the last at which an older one was followed, that one included."""
         self.counted = False
-        """Whether it is known how many there were until it acted."""
+        """True if it is known how many there were until it acted."""
         self.acts_by: Instant | None = None
         self.reached_by: Instant | None = None
         """By then the drive followed this one or a newer one."""
         self.possible = False
-        """Whether a telling may have been of it."""
+        """True if a telling may have been of it."""
         self.passed = False
-        """Whether it was there at a SYNC by which it should have acted, and an older one was followed."""
+        """True if it was there at a SYNC by which it should have acted, and an older one was followed."""
         self.replaced = False
-        """Whether a newer one is known to be followed."""
+        """True if a newer one is known to be followed."""
         self.judged = False
-        """Whether it is known if it is excluded."""
+        """True if it is known if it is excluded."""
         self.excluded = False
-        """Whether it can have acted at no SYNC before it was replaced."""
+        """True if it can have acted at no SYNC before it was replaced."""
         self.stamped_from: Instant | None = None
         """It did not act before, by the stamp with which the drive told the change to it; None without."""
 
     def was_there(self, at: Instant) -> bool:
-        """Whether it was on the bus by ``at``; where no echo tells, whether it had been handed over."""
+        """Return whether it was on the bus by ``at``; where no echo tells, whether it had been handed
+        over."""
         on_bus_at = self.sent.on_bus_at
         if on_bus_at is not None:
             return on_bus_at <= at
         return not (self.shows or self.sent.unsent) and self.sent.handed_at <= at
 
     def may_be_there(self, at: Instant) -> bool:
-        """Whether it may have been on the bus by ``at``: its echo may be stamped late, or another's."""
+        """Return whether it may have been on the bus by ``at``: its echo may be stamped late, or
+        another's."""
         sent = self.sent
         if sent.handed_at > at or sent.unsent or (self.shows and sent.on_bus_at is None):
             return False
@@ -113,7 +115,7 @@ class FollowedCommand:
         return known
 
     def acted_before(self, at: Instant) -> bool:
-        """Whether it is known to have acted before ``at``."""
+        """Return whether it is known to have acted before ``at``."""
         return self.acts_by is not None and self.acts_by < at
 
 

@@ -57,7 +57,7 @@ class PlacedInOrder:
         self.delay = received_at - mark.on_bus_at
         self.certain = False
         self.heeded = False
-        """Whether the reading was placed so, and no other one before."""
+        """True if the reading was placed so, and no other one before."""
 
 
 class KeptOrder:
@@ -77,10 +77,10 @@ class KeptOrder:
         self._last_at = Instant(0)
         self._overtaken = OVERTAKEN_AT_FIRST
         self._frames_apart = False
-        """Whether position and speed come in frames of their own."""
+        """True if position and speed come in frames of their own."""
         self._distrusted = 0
         self._lost = False
-        """Whether one was lost since it was known how many there are."""
+        """True if one was lost since it was known how many there are."""
         self._count = 0
         """Readings since then,"""
         self._alike = 0
@@ -90,7 +90,7 @@ class KeptOrder:
 
     @property
     def leads(self) -> bool:
-        """Whether readings can be placed by it, and by nothing else, as they spread over a period."""
+        """True if readings can be placed by it, and by nothing else, as they spread over a period."""
         if self._distrusted or (self._syncs.basis in STAMPED_LATE and not self._syncs.of_another):
             return False  # an echo may be stamped behind the reading that it is followed by
         kept = self._frames_apart and self._overtaken < OVERTAKEN_MOST

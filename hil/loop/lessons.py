@@ -1,4 +1,4 @@
-"""What an axis learns from while it is calibrated: readings that can only answer one SYNC."""
+"""Lessons of an axis while it is calibrated: readings that can only answer one SYNC."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -25,7 +25,7 @@ class Lessons:
         self.pairs: list[tuple[Reading, SyncMark]] = []
         self._syncs = syncs
         self._alone = True
-        """Whether the last SYNC had one reading."""
+        """True if the last SYNC had one reading."""
         self._stood = 0
         """How often in a row the stamp was the same."""
 
@@ -51,14 +51,14 @@ class Lessons:
 
     @property
     def stamp_stands_still(self) -> bool:
-        """Whether the last readings had one stamp."""
+        """True if the last readings had one stamp."""
         return self._stood >= STANDS_STILL
 
     @property
     def echoes_mislead(self) -> bool:
-        """Whether readings follow the hand-over of their SYNCs more evenly than the echoes, which are off by
-        more than is assumed: the stamps of readings, or where they have none the instants at which they came.
-        """
+        """True if readings follow the hand-over of their SYNCs more evenly than the echoes, which are off
+        by more than is assumed: the stamps of readings, or where they have none the instants at which they
+        came."""
         syncs = self._syncs
         if syncs.basis not in STAMPED_LATE or len(self.pairs) < LESSONS_MIN:
             return False

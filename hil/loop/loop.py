@@ -25,7 +25,7 @@ from servobench.hil.loop.decision import Tick
 from servobench.hil.loop.pace import Pace, Start, ticks_passed
 
 PROGRESS_EVERY: Final = 50 * NS_PER_MS
-"""What is asked so often may call the kernel, which no single cycle does."""
+"""Time between two calls of progress, ns: so rare a call may enter the kernel, which no single cycle does."""
 BEYOND_ANY_HORIZON: Final = 1 << 30
 """More cycles than the longest run, a day, has at the shortest period, 100 us: 8.6e8."""
 

@@ -42,12 +42,12 @@ class OrderAttribution:
 
     @property
     def wants_probe(self) -> bool:
-        """Whether the next SYNC is to go out a quarter of a period late."""
+        """True if the next SYNC is to go out a quarter of a period late."""
         return self._in_question.wants_probe
 
     @property
     def settled(self) -> bool:
-        """Whether it is known which SYNCs readings answer."""
+        """True if it is known which SYNCs readings answer."""
         return self._sure and not self._beyond
 
     def learn(self, reading: Reading, mark: SyncMark) -> None:
@@ -78,7 +78,7 @@ class OrderAttribution:
         return None if again or surplus else self._place(reading, copy)
 
     def _is_surplus(self, copy: Reading) -> bool:
-        """Whether a copy is one: all SYNCs have their readings, and a shaft that is not at rest told it."""
+        """True if a copy is one: all SYNCs have their readings, and a shaft that is not at rest told it."""
         latest = Instant(copy.received_at - self._transit)
         mark = self._syncs.newest_before(latest)
         if mark is None or not (self._sure and self.copies.told_by_speeds) or self._open.may_come(mark):
@@ -132,7 +132,7 @@ class OrderAttribution:
         return self._sample(reading, mark, certain=certain, waits=waits)
 
     def _is_plain(self, mark: SyncMark) -> bool:
-        """Whether a usual reading behind ``mark`` follows usual ones."""
+        """Return whether a usual reading behind ``mark`` follows usual ones."""
         plain = not (self._untidy or self._strays) and mark.sequence != SURPLUS
         return plain and mark.number == self._answered + 1
 
@@ -326,7 +326,7 @@ class OrderAttribution:
         return self._guess(reading, mark)
 
     def _is_only_one(self, mark: SyncMark, copy: bool) -> bool:
-        """Whether all other SYNCs have their readings for certain, and this is none of those again."""
+        """Return whether all other SYNCs have their readings for certain, and this is none of those again."""
         copied = self._untidy and (copy or self.copies.before)
         if not self._sure or copied or mark.sequence == SURPLUS or not self._usual.apart:
             return False
@@ -334,15 +334,15 @@ class OrderAttribution:
         return known and not self._open.may_come(mark)
 
     def _comes_sooner(self, usual: SyncMark, received_at: Instant, copy: bool) -> bool:
-        """Whether a reading is that of a SYNC after the ``usual`` one, as this and all before have theirs."""
+        """True if a reading is that of a SYNC after the ``usual`` one, as this and all before have theirs."""
         if usual.number > self._answered or copy or self.copies.before:
             return False
         later = self._syncs.newest_before(Instant(received_at - self._transit))
         return later is not None and self._is_only_one(later, copy)
 
     def _is_held(self, mark: SyncMark, age: int, copy: bool) -> bool:
-        """Whether a reading is that of the SYNC before ``mark``, unless ``mark`` has none of its own: no
-        reading comes as soon after its SYNC as it would after that."""
+        """Return whether a reading is that of the SYNC before ``mark``, unless ``mark`` has none of its own:
+        no reading comes as soon after its SYNC as it would after that."""
         if not self._sure or copy or mark.number != self._answered + 2 or age >= self._usual.least:
             return False
         return not self._open.may_come(mark) and self._mark(mark.number - 1).on_bus_at is not None

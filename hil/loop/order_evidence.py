@@ -1,4 +1,4 @@
-"""What is uneven in SYNCs, and which of them the readings follow.
+"""Unevenness of SYNCs, and which of them the readings follow.
 
     SYNC ends    1      2         3      4      5         1 to 2, 2 to 3, ... are of different lengths
     readings       |r     |r        |r     |r     |r      they follow the SYNC before them: lag 0
@@ -38,7 +38,7 @@ class OrderEvidence:
         self._soonest = transit - syncs.error_ns
         self._age = 0
         self._places: list[int] = []
-        """Of each reading, the place of the SYNC that it answers with lag 0."""
+        """Place of the SYNC that each reading answers with lag 0."""
         self._came_at: list[Instant] = []
 
     def __len__(self) -> int:
@@ -90,8 +90,8 @@ class OrderEvidence:
         return delays
 
     def _may_have(self, lag: int, delays: list[int], few: int) -> bool:
-        """Whether at most one of so ``few`` readings comes sooner with this lag than its frame can. The SYNC
-        before a reading may be none of its own either, but where its echo was stamped late."""
+        """Return whether at most one of so ``few`` readings comes sooner with this lag than its frame can.
+        The SYNC before a reading may be none of its own either, but where its echo was stamped late."""
         if lag > 0:
             return True
         soonest = self._soonest - self._syncs.late_most
@@ -133,7 +133,7 @@ def _deviation(delays: list[int]) -> float:
 
 
 def _misfits(delays: list[int | None], known: list[int], variance: float, most: float) -> list[float | None]:
-    """Of each reading, the logarithm of how much likelier even delays would be."""
+    """Return for each reading the logarithm of how much likelier even delays would be."""
     middle = sorted(known)[len(known) // 2] if known else 0
     return [
         None if delay is None else min(float(delay - middle) ** 2 / variance / 2.0, most) for delay in delays

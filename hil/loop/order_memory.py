@@ -1,4 +1,4 @@
-"""What placing by order remembers: SYNCs without a reading, and what the last readings said."""
+"""Memory of placing by order: SYNCs without a reading, and what the last readings said."""
 
 import math
 from typing import Final
@@ -49,15 +49,15 @@ class Unanswered:
         return count
 
     def is_within(self, syncs: int, mark: SyncMark) -> bool:
-        """Whether one of the last ``syncs`` before ``mark`` has no reading."""
+        """Return whether one of the last ``syncs`` before ``mark`` has no reading."""
         return bool(self._numbers) and 0 < mark.number - self._numbers[-1] <= syncs
 
     def may_come(self, mark: SyncMark) -> bool:
-        """Whether one before ``mark`` may have its reading yet."""
+        """Return whether one before ``mark`` may have its reading yet."""
         return self.is_within(OPEN_FOR, mark)
 
     def may_be_taken_for(self, mark: SyncMark) -> bool:
-        """Whether a reading may be of one before ``mark`` that was held up."""
+        """Return whether a reading may be of one before ``mark`` that was held up."""
         return self.is_within(HELD_UP, mark)
 
     def take(self, latest: Instant) -> SyncMark | None:
@@ -100,16 +100,16 @@ class Copies:
 
     def __init__(self, period: Duration) -> None:
         self.stamps: DriveStamps | None = None
-        """What is known of those of the drive."""
+        """Knowledge of the drive's stamps."""
         self._period = period
         self._told: list[tuple[float, int | None]] = [(math.nan, None)] * COPIES
         self._place = 0
         self.before = self._held = False
-        """Whether the reading before the last one may have been a copy."""
+        """True if the reading before the last one may have been a copy."""
 
     @property
     def told_by_stamps(self) -> bool:
-        """Whether what is held is a copy: two SYNCs have two stamps, unless these advance by more than half a
+        """True if what is held is a copy: two SYNCs have two stamps, unless these advance by more than half a
         period or stand still. Speeds alone are alike while a shaft is at rest."""
         stamps = self.stamps
         if stamps is None or 2 * stamps.resolution > self._period:
@@ -118,11 +118,11 @@ class Copies:
 
     @property
     def told_by_speeds(self) -> bool:
-        """Whether what is held is hardly told by chance: a shaft at rest has told nothing else."""
+        """True if what is held is hardly told by chance: a shaft at rest has told nothing else."""
         return not (self.before or math.isnan(self._told[-1][0]))
 
     def holds(self, reading: Reading) -> bool:
-        """Whether one of the last readings told the same; else it is remembered."""
+        """Return whether one of the last readings told the same; else it is remembered."""
         told = reading.velocity_rad_s, reading.device_time_ns
         self.before = self._held
         held = self._held = told in self._told
@@ -159,7 +159,7 @@ class Unconfirmed:
 
     @property
     def behind(self) -> bool:
-        """Whether one of them may be that of a SYNC before."""
+        """True if one of them may be that of a SYNC before."""
         return any(behind for _, behind in self._rows)
 
     def confirm(self, until: int, *, untidy: bool) -> None:

@@ -81,19 +81,19 @@ class LossShare:
 
 
 class OrderQuestion:
-    """What speaks for the lags with which readings may follow their SYNCs."""
+    """Evidence for the lags with which readings may follow their SYNCs."""
 
     def __init__(self, syncs: SyncLog, period: Duration, transit: Duration, usual: UsualDelays) -> None:
         """``usual``: the delays of readings whose place is certain."""
         self.evidence = OrderEvidence(syncs, transit)
         self.phase_known = True
-        """Whether the delay is known, whole periods aside."""
+        """True if the delay is known, whole periods aside."""
         self.odd = 0
         """Readings since it was put that seem to be held up or copies: each may hide a lost one."""
         self.asked = 0
         """Readings since it was put."""
         self.wants_probe = False
-        """Whether the next SYNC is to go out a quarter of a period late."""
+        """True if the next SYNC is to go out a quarter of a period late."""
         self._syncs = syncs
         self._period = period
         self._soonest = transit - syncs.error_ns
@@ -141,19 +141,19 @@ class OrderQuestion:
         self._misses.append((answered, Resemblance(run)))
 
     def _comes_too_soon(self, delay: int) -> bool:
-        """Whether a reading of the SYNC before would have come sooner than its frame can."""
+        """Return whether a reading of the SYNC before would have come sooner than its frame can."""
         return delay + self._syncs.late_most < self._soonest
 
     @property
     def may_be_others(self) -> bool:
-        """Whether readings may not answer the SYNC before them though only one is missing: they may be those
+        """True if readings may not answer the SYNC before them though only one is missing: they may be those
         of later ones, or have come too soon for it."""
         too_soon = any(since.too_soon >= TOO_SOON for _, since in self._misses)
         return too_soon or not self.phase_known or self.sooner() > 0
 
     @property
     def strays_often(self) -> bool:
-        """Whether more readings than the last one, and than are rare, came at delays that are not usual."""
+        """True if more readings than the last one, and than are rare, came at delays that are not usual."""
         return any(since.strays_often for _, since in self._misses)
 
     def settled(self, number: int, lag: int) -> bool:
@@ -211,11 +211,12 @@ class OrderQuestion:
         self.wants_probe = False
 
     def is_probing(self, answered: int) -> bool:
-        """Whether the next SYNC behind number ``answered`` is a probe, or is to be one."""
+        """Return whether the next SYNC behind number ``answered`` is a probe, or is to be one."""
         return self.wants_probe or (bool(self._probes) and self._probes[-1] > answered)
 
     def is_before_probe(self, received_at: Instant, answered: int, lags: int) -> bool:
-        """Whether a reading comes as it must in front of a probe, which is late, if delays have grown."""
+        """Return whether a reading comes as it must in front of a probe, which is late, if delays have
+        grown."""
         late = Instant(received_at - self._period)
         return self.phase_known and self.is_probing(answered) and self.is_like(late, lags)
 
@@ -225,7 +226,8 @@ class OrderQuestion:
         self.wants_probe = ready and number >= self._next_probe
 
     def is_like(self, received_at: Instant, lags: int) -> bool:
-        """Whether a reading has the usual delay from any of the SYNCs that it may answer, periods aside."""
+        """Return whether a reading has the usual delay from any of the SYNCs that it may answer, periods
+        aside."""
         nearest = self._syncs.nearest(Instant(received_at - self._usual.middle))
         if nearest is None:
             return False
@@ -266,25 +268,26 @@ class OrderQuestion:
         return lag
 
     def counts(self, lags: int) -> bool:
-        """Whether readings of an unknown delay show by their number which SYNCs they answer: each SYNC has
-        had one, in its own period, since the last of which that was certain. Had they grown by a period, one
-        SYNC would be without. Delays that spread over a period do not keep to theirs."""
+        """Return whether readings of an unknown delay show by their number which SYNCs they answer: each SYNC
+        has had one, in its own period, since the last of which that was certain. Had they grown by a period,
+        one SYNC would be without. Delays that spread over a period do not keep to theirs."""
         if lags > 1 or self.phase_known or self._usual.spread >= self._period:
             return False
         return self.sooner() == 0
 
     def fits(self, delay: int, lags: int) -> bool:
-        """Whether the answer may confirm that a reading of such a delay answers the SYNC before."""
+        """Return whether the answer may confirm that a reading of such a delay answers the SYNC before."""
         return self._usual.holds(delay) or self.counts(lags)
 
     def _is_usual(self, weighed: list[int], others: int) -> bool:
-        """Whether all delays but so many ``others`` are as they were. Nothing excludes then that none
+        """Return whether all delays but so many ``others`` are as they were. Nothing excludes then that none
         changed: what holds up SYNCs may hold up readings behind them too, and another lag be more even. One
         that is none of a probe decides nothing: it may have come before another node's frame, for once."""
         return bool(weighed) and sum(not self._usual.holds(delay) for delay in weighed) <= others
 
     def _is_narrow(self, weighed: list[int]) -> bool:
-        """Whether delays that were weighed are none that are folded upon themselves by whole periods."""
+        """Return whether delays that were weighed are none that are folded upon themselves by whole
+        periods."""
         spread = max(weighed) - min(weighed)
         if self.phase_known:
             spread = max(spread, self._usual.spread)
@@ -294,7 +297,8 @@ class OrderQuestion:
         return spread <= self._period // (8 if few else 2)
 
     def _looks_as_before(self, miss: tuple[int, Resemblance], run: int) -> bool:
-        """Whether delays look as before since one of the readings that are missing, ``run`` in a row."""
+        """Return whether delays look as before since one of the readings that are missing, ``run`` in a
+        row."""
         count = readings_to_resemble(self._usual.spread, self._period, self._alike_least)
         known = self._shares.readings_to_show(self._usual.spread, self._period, miss[0], run)
         count = min(count, known)
@@ -303,8 +307,8 @@ class OrderQuestion:
         )
 
     def _speaks_against(self, miss: tuple[int, Resemblance]) -> bool:
-        """Whether probes have gone out, and readings have not followed them, but for what is lost and what
-        chance makes of delays that spread."""
+        """Return whether probes have gone out, and readings have not followed them, but for what is lost and
+        what chance makes of delays that spread."""
         answered, since = miss
         few = 1 if WIDE_PARTS * self._usual.spread < self._period else 2
         probed = sum(number > answered for number in self._probes)

@@ -1,4 +1,4 @@
-"""What starts the cycles of a loop: ticks of this process, or SYNCs that somebody else makes.
+"""Pace of a loop: its cycles start by ticks of this process, or by SYNCs that somebody else makes.
 
 OwnSync       tick      0        1        2        3         a grid of this process; it sends a SYNC at each
               SYNC      |        |                 |         tick 2: the host came too late, missed
@@ -31,7 +31,8 @@ at a time, and less than the period by which a settling bus exceeds the deadline
 CALIBRATION_SEED: Final = 35
 WATERMARK_SEED: Final = 53
 CALIBRATION_SPACINGS: Final = 32
-"""Of SYNCs that are heard: jitter of half a period is 1.6 % of so many, less than what is refused."""
+"""Spacings of SYNCs that are heard: jitter of half a period is 1.6 % of so many, less than what is
+refused."""
 DOUBTED_SPACINGS: Final = 96
 """Listened to beside them before a period is refused: where stamps are late by up to two thirds of a period,
 another one looks right in one of six cases by 33 SYNCs, in none of sixty by 129."""
@@ -47,7 +48,7 @@ Stall = Callable[[Instant], Duration]
 
 @mypyc_attr(acyclic=True, free_list_len=1)
 class Start:
-    """What becomes of the next tick."""
+    """Start of a cycle: the fate of the next tick."""
 
     def __init__(self, due_at: Instant, woke_at: Instant | None, served: bool) -> None:
         """``woke_at``: when the host came for it; None if it did not. ``served``: it is a cycle now."""
@@ -60,7 +61,7 @@ class Pace:
     """Starts cycles. Override all but ``_wake``."""
 
     can_probe = False
-    """Whether a SYNC can be had late."""
+    """True if a SYNC can be had late."""
 
     def __init__(self, network: Master, clock: Clock, period: Duration, stall: Stall | None) -> None:
         self._network = network
@@ -191,7 +192,7 @@ class OwnSync(Pace):
             syncs.handed(sequence, handed_at[segment])
 
     def _may_hand_over(self, due: Instant) -> bool:
-        """Whether the last SYNC is out, and half a period ago; waits for that, up to half a period."""
+        """Return whether the last SYNC is out, and half a period ago; waits for that, up to half a period."""
         half = self._period // 2
         now = self._now()
         earliest = now

@@ -1,4 +1,4 @@
-"""Whether readings are placed whole periods off, which SYNCs at equal distances leave open.
+"""Doubt about whole periods: SYNCs at equal distances leave open whether readings are placed by them.
 
 A clock that is set back by a period and a delay that grows by one are the same stamps and the same arrivals:
 
@@ -49,7 +49,7 @@ class Placing:
 
     def __init__(self, offset_ns: int, steps: bool) -> None:
         self.steps = steps
-        """Whether the clock was set, so that delays are what they were."""
+        """True if the clock was set, so that delays are what they were."""
         self.anew(offset_ns)
 
     def anew(self, offset_ns: int) -> None:
@@ -90,11 +90,11 @@ class PeriodDoubt:
         self.revoked: list[int] = []
         """Cycles from before, whose rows stay as they were if they are placed right."""
         self.proved = True
-        """Whether all readings are, in the cycles in which they were placed, since the question was put."""
+        """True if all readings are, in the cycles in which they were placed, since the question was put."""
         self.since = 0
         """Number of the newest SYNC that had been answered before."""
         self.wants_probe = False
-        """Whether the next SYNC is to go out a quarter of a period late."""
+        """True if the next SYNC is to go out a quarter of a period late."""
         self._syncs = syncs
         self._stamps = stamps
         self._period = period
@@ -102,18 +102,18 @@ class PeriodDoubt:
         self._tell = tell
         self._told = False
         self._spacing = float(period)
-        """Of the SYNCs, in the mean."""
+        """Mean distance of the SYNCs."""
         self._low = self._slack = 0
         """The smallest delay before, and what it may seem to change by."""
         self.surprised = False
-        """Whether the last reading would have come too soon in one of the ways: it is wrong, or the clock has
+        """True if the last reading would have come too soon in one of the ways: it is wrong, or the clock has
         been set once more."""
         self._heeded = self._changes = 0
         self._device_ns = 0
 
     @property
     def open(self) -> bool:
-        """Whether more than one is left."""
+        """True if more than one is left."""
         return len(self.ways) > 1
 
     def put(self, steps: bool, others: list[tuple[int, bool]], delays: DelayExtremes, since: int) -> None:
@@ -209,7 +209,7 @@ class PeriodDoubt:
         return True
 
     def _is_near(self, way: Placing, at: Instant, near_ns: int) -> bool:
-        """Whether the stamp at ``at`` lies on its SYNC by one way."""
+        """Return whether the stamp at ``at`` lies on its SYNC by one way."""
         return way.at is not None and abs(at + way.offset_ns - way.at) <= near_ns
 
     def _set_again(self, way: Placing) -> None:

@@ -85,7 +85,7 @@ class ReadbackTie:
         self._doubted_until = 0
         """Order is not trusted before so many readings have come."""
         self._behind = False
-        """Whether a demand has been seen to come behind the reading of its SYNC."""
+        """True if a demand has been seen to come behind the reading of its SYNC."""
         self._last = 0
         """Number of the newest SYNC of which the last demand may be; 0 before the first."""
         self._tied = 0
@@ -95,7 +95,7 @@ class ReadbackTie:
 
     @property
     def doubtful(self) -> bool:
-        """Whether the order of frames tells nothing, as some overtook others or came twice lately."""
+        """True if the order of frames tells nothing, as some overtook others or came twice lately."""
         return self.readings < self._doubted_until
 
     def pass_over(self, readings: int) -> None:
@@ -248,8 +248,8 @@ class ReadbackTie:
         return placed.until
 
     def _may_hide_another(self, placed: _Placed, readback: Readback) -> bool:
-        """Whether a demand that came behind a reading may be of a later SYNC: another node's, which this host
-        may not have heard."""
+        """Return whether a demand that came behind a reading may be of a later SYNC: another node's, which
+        this host may not have heard."""
         on_bus_at = placed.mark.on_bus_at
         if not self._syncs.of_another or readback.received_at - placed.received_at <= self._period // 2:
             return False

@@ -95,7 +95,7 @@ class Extremes:
         self.high = self._high = max(self.high, self.low + spread)
 
     def spreads(self, over: int) -> bool:
-        """Whether they spread over so much or more."""
+        """Return whether they spread over so much or more."""
         return self.high - self.low >= over
 
     def widen(self, reach: int) -> None:
@@ -131,8 +131,8 @@ class DelayExtremes(Extremes):
         """Delays in a row, see :meth:`stay_longer`."""
 
     def stay_longer(self, delay: int, by: int) -> bool:
-        """Whether this is the last of several in a row that are longer than the least by more than ``by``,
-        and by more than most of what delays spread over."""
+        """Return whether this is the last of several in a row that are longer than the least by more than
+        ``by``, and by more than most of what delays spread over."""
         most = self.low + max(by, (self.high - self.low) * 3 // 4)
         self._longer = self._longer + 1 if delay > most else 0
         return self._longer == FEW
@@ -155,7 +155,7 @@ class DelayExtremes(Extremes):
         super().begin(values)
 
     def _leaves(self, delay: int) -> bool:
-        """Whether it is so much below the smallest that delays have become others."""
+        """Return whether it is so much below the smallest that delays have become others."""
         return delay < self.low - self.unseen(0)
 
     def unseen(self, transit: int) -> int:

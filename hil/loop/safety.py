@@ -23,7 +23,7 @@ from servobench.hil.loop.samples import Sample, StateEstimate
 
 @dataclass(frozen=True, slots=True)
 class TorqueLimits:
-    """What one axis may do that is given torques."""
+    """Limits of one axis that is given torques."""
 
     torque_max_nm: float
     speed_max_rad_s: float
@@ -34,7 +34,7 @@ class TorqueLimits:
 
 @dataclass(frozen=True, slots=True)
 class SpeedLimits:
-    """What one axis may do that is given speeds."""
+    """Limits of one axis that is given speeds."""
 
     set_point_max_rad_s: float
     speed_max_rad_s: float
@@ -46,7 +46,7 @@ class SpeedLimits:
 
 @dataclass(frozen=True, slots=True)
 class PositionLimits:
-    """What one axis may do that is given positions."""
+    """Limits of one axis that is given positions."""
 
     rate_max_rad_s: float
     """Of the set-points."""
@@ -71,7 +71,8 @@ class SafetyGuard:
         self._set_point_max = math.inf
         slew: float | None = None
         self.path_limits: tuple[float, float | None] = (limits.speed_max_rad_s, None)
-        """Of positions that are asked for: highest speed, rad/s, and acceleration, rad/s^2; None: any."""
+        """Limits of positions that are asked for: highest speed, rad/s, and acceleration, rad/s^2; None:
+        any."""
         if isinstance(limits, SpeedLimits):
             self._set_point_max, slew = limits.set_point_max_rad_s, limits.acceleration_max_rad_s2
             self.path_limits = self._set_point_max, slew
@@ -104,7 +105,7 @@ class SafetyGuard:
         raise WrongSetPoint(f"the controller's output is {asked!r}, this axis takes a {takes}")
 
     def command(self, sequence: int, demand: float, effective_at: Instant, expires_at: Instant) -> Command:
-        """What may be sent for a controller's demand, N m or, by the limits, rad/s or rad."""
+        """Return what may be sent for a controller's demand, N m or, by the limits, rad/s or rad."""
         set_point = self.limit(demand)
         if self._torques:
             return Command(sequence, set_point, effective_at, expires_at)
@@ -125,7 +126,8 @@ class SafetyGuard:
         return self._set_point
 
     def in_place_of(self, command: Command, newest: Sample | None) -> Command:
-        """What acts while the drive does not follow: torque, speed or position as the drive told it last.
+        """Return what acts while the drive does not follow: torque, speed or position as the drive told it
+        last.
 
         Set-points are limited in their change from there on, so that the first that is followed again makes
         no jump. Without a reading, or a torque in it, 0 N m is taken.

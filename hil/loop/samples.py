@@ -42,7 +42,7 @@ class Sample(Record):
         self.sampled_at_error_ns: Final = sampled_at_error_ns
         """Half-width of the interval that certainly holds the sampling instant."""
         self.certain: Final = certain
-        """Whether the data decide which SYNC it answers."""
+        """True if the data decide which SYNC it answers."""
 
 
 @mypyc_attr(acyclic=True, free_list_len=1)
@@ -58,14 +58,14 @@ class Dropout(Record):
         """The tick of that cycle."""
         self.cause: Final = cause
         self.certain: Final = certain
-        """Whether the data decide that it was this cycle's reading."""
+        """True if the data decide that it was this cycle's reading."""
 
 
 Observation = Sample | Dropout
 
 
 def without_sync(observation: Observation) -> Observation:
-    """What came of a cycle whose SYNC never went out."""
+    """Return the observation of a cycle whose SYNC never went out."""
     if isinstance(observation, Dropout):
         return Dropout(observation.sequence, observation.due_at, DropoutCause.MISSED, True)
     return observation
@@ -73,7 +73,7 @@ def without_sync(observation: Observation) -> Observation:
 
 @mypyc_attr(acyclic=True, free_list_len=1)
 class StateEstimate(Record):
-    """What the controller is given: the state, and the instant for which it holds."""
+    """State that the controller is given, and the instant for which it holds."""
 
     __match_args__ = ("position_rad", "velocity_rad_s", "torque_nm", "valid_at", "sequence")
     __slots__ = __match_args__
@@ -90,11 +90,11 @@ class StateEstimate(Record):
 
 
 AT_REST: Final = StateEstimate(0.0, 0.0, 0.0, Instant(0), 0)
-"""What is assumed before the first sample: the loop starts with the drive at rest."""
+"""State assumed before the first sample: the loop starts with the drive at rest."""
 
 
 class CommandFate(Enum):
-    """What became of a command behind the bus."""
+    """Fate of a command behind the bus."""
 
     NOT_MEASURED = "not measured"
     """The drive does not tell which command it follows."""
@@ -112,7 +112,7 @@ class CommandFate(Enum):
 
 @mypyc_attr(acyclic=True, free_list_len=1)
 class Sending(Record):
-    """What is known of a command on its way."""
+    """Knowledge of a command on its way."""
 
     __match_args__ = ("raw", "handed_at", "on_bus_at", "fate", "acts_after", "acts_by")
     __slots__ = __match_args__

@@ -1,4 +1,4 @@
-"""What a run asks of an axis over time: a reference and a load torque."""
+"""Reference and load torque of an axis over a run."""
 
 import math
 from bisect import bisect_right
@@ -15,7 +15,7 @@ _DOUBLE: Final[i64] = 8
 
 
 class Quantity(Enum):
-    """What a set-point or a reference is."""
+    """Quantity of a set-point or a reference."""
 
     TORQUE = "torque"
     SPEED = "speed"
@@ -129,7 +129,7 @@ class Table:
         self._skipped: i64 = 0
         """Points between the last two pieces: so many may lie before the next, too."""
         self._from_s = self._until_s = self._level = self._rise = 0.0
-        """Of the piece at hand: where it begins and ends, the level there, how far it rises."""
+        """The piece at hand: where it begins and ends, the level there, how far it rises."""
         self._enter(-math.inf)
 
     def value(self, elapsed_s: float, start: float) -> float:  # noqa: ARG002

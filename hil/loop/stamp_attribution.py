@@ -58,7 +58,7 @@ class StampAttribution:
         self.stamps = DriveStamps(period, syncs.error_ns, resolution, self._echoes_late)
         self.clock, self._residuals = self.stamps.clock, self.stamps.residuals
         self.doubtful_error_ns = REMEMBERED * period
-        """Of a reading of uncertain place: any SYNC that is remembered may be its own."""
+        """Error of a reading of uncertain place: any SYNC that is remembered may be its own."""
         self._syncs, self._tell = syncs, tell
         self._half = period // 2
         self._transit = transit
@@ -70,13 +70,13 @@ class StampAttribution:
 
     @property
     def spread(self) -> bool:
-        """Whether delays spread over more than half a period, so that a clock that was set by whole periods
+        """True if delays spread over more than half a period, so that a clock that was set by whole periods
         may not show with the first reading: a placement is final only :data:`REVOKED` readings later."""
         return self._case.delays.spreads(self._half)
 
     @property
     def longest_delay(self) -> int:
-        """Of the last thousand readings or so, ns."""
+        """Longest delay of the last thousand readings or so, ns."""
         return self._case.delays.high
 
     @property
@@ -87,7 +87,7 @@ class StampAttribution:
 
     @property
     def may_overtake(self) -> bool:
-        """Whether delays spread so much that a frame may come before one of the SYNC before its own."""
+        """True if delays spread so much that a frame may come before one of the SYNC before its own."""
         delays = self._case.delays
         return max(delays.high, self._slowest) - delays.low >= self._half + self._half // 2
 
@@ -136,7 +136,7 @@ class StampAttribution:
         return self._suspect(reading, device_ns, mark if free else None, at, known)
 
     def _usual(self, mark: SyncMark, delay: int) -> bool:
-        """Whether a reading on a free SYNC raises no question, and answers the one that may be open."""
+        """True if a reading on a free SYNC raises no question, and answers the one that may be open."""
         if delay < self._transit and self.spread and delay < self._transit - self.stamps.near_ns:
             return False
         delays, beyond = self._case.delays, self._half + self._case.delays.slack()
@@ -186,7 +186,7 @@ class StampAttribution:
         return sample
 
     def _tells_again(self, reading: Reading) -> bool:
-        """Whether one whose stamp is known may be a copy: a clock that is set back makes its stamps again."""
+        """True if one whose stamp is known may be a copy: a clock that is set back makes its stamps again."""
         for sample in self._recent:
             if sample.reading.device_time_ns == reading.device_time_ns:
                 return sample.reading.velocity_rad_s == reading.velocity_rad_s

@@ -60,31 +60,31 @@ class SyncMark:
         self.on_bus_at: Instant | None = None
         """Its end on the bus; None: not known (yet), or it never came there."""
         self.sure = True
-        """Whether ``on_bus_at`` is certainly this SYNC's."""
+        """True if ``on_bus_at`` is certainly this SYNC's."""
         self.late_ns = 0
         """By how much it may have ended before ``on_bus_at``, as its echo took so much longer from the
         hand-over than the quickest of the last ones: it waited in front of the bus, or was stamped late. One
         of another node: as its distances from the others differ."""
         self.late_to_drives = False
-        """Whether drives may have heard it long after its end, and at one instant with others: no stamp says
+        """True if drives may have heard it long after its end, and at one instant with others: no stamp says
         which one it was."""
         self.unsent = False
-        """Whether it never went out, as the bus had no room for it."""
+        """True if it never went out, as the bus had no room for it."""
 
     @property
     def hidden(self) -> bool:
-        """Whether it may have been on the bus unheard."""
+        """True if it may have been on the bus unheard."""
         return self.on_bus_at is None and not (self.sure or self.unsent)
 
     def ended_by(self, at: Instant) -> bool:
-        """Whether it had ended by ``at``, or may have, unheard."""
+        """Return whether it had ended by ``at``, or may have, unheard."""
         if self.on_bus_at is None:
             return self.hidden and self.handed_at <= at
         return self.on_bus_at <= at
 
 
 class SyncLog:
-    """What is known of the SYNCs of one segment."""
+    """Knowledge of the SYNCs of one segment."""
 
     def __init__(self, latency: Duration, period: Duration, echoes: EchoBasis) -> None:
         """``latency``: from handing a SYNC over until its end on an idle bus."""
@@ -92,7 +92,7 @@ class SyncLog:
         """In the order of handing over; the last :data:`REMEMBERED`."""
         self.echoes = echoes
         self.basis = echoes
-        """What the instants of SYNCs on the bus rest on: their echoes, or NONE, the hand-over, see
+        """Basis of the instants of SYNCs on the bus: their echoes, or NONE, the hand-over, see
         :meth:`rest_on_hand_over`."""
         self.error_ns = ECHO_ERROR[echoes]
         """How far such an instant may be off in any case."""
@@ -104,7 +104,7 @@ class SyncLog:
         """SYNCs of another node that did not come in their periods: not sent, or lost on the way to this
         host. A drive that heard them answers."""
         self.of_another = False
-        """Whether another node makes the SYNCs."""
+        """True if another node makes the SYNCs."""
         self.crowded = 0
         """SYNCs that ended on the bus less than half a period after the one before."""
         self._latency = latency
@@ -208,7 +208,8 @@ class SyncLog:
                 mark.sure = False
 
     def may_hide(self, mark: SyncMark, received_at: Instant) -> bool:
-        """Whether a reading that came then may answer a SYNC behind ``mark`` that was on the bus unheard."""
+        """Return whether a reading that came then may answer a SYNC behind ``mark`` that was on the bus
+        unheard."""
         if self.unheard_until < mark.handed_at:
             return False
         return any(
@@ -257,14 +258,14 @@ class SyncLog:
         return count
 
     def may_hand_over(self, now: Instant) -> bool:
-        """Whether no echo is awaited that may still come."""
+        """Return whether no echo is awaited that may still come."""
         pending = self._pending
         if not pending or self._instants:
             return True
         return now - pending[-1].handed_at >= GIVEN_UP_AFTER_PERIODS * self._period
 
     def awaits_echo(self, at: Instant) -> bool:
-        """Whether the last SYNC was handed over by ``at``, and its echo is to be fetched yet.
+        """Return whether the last SYNC was handed over by ``at``, and its echo is to be fetched yet.
 
         An adapter may bring a frame of another node before the echo of one that was on the bus first. Once
         the next SYNC has been handed over, its echo is not waited for.
@@ -281,7 +282,7 @@ class SyncLog:
         return ways.high + ways.slack() - (0 if self.of_another else ways.low)
 
     def heard_for(self, cycles: int, before_ns: int) -> bool:
-        """Whether the bus was heard of for so many cycles since :attr:`heard_ns` was ``before_ns``."""
+        """Return whether the bus was heard of for so many cycles since :attr:`heard_ns` was ``before_ns``."""
         return self.heard_ns - before_ns >= cycles * self._period
 
     def end_of_first_after(self, sequence: int) -> Instant:
@@ -308,13 +309,15 @@ class SyncLog:
         return self.missing - (mark.place - mark.number)
 
     def may_precede(self, at: Instant, mark: SyncMark) -> bool:
-        """Whether the last SYNC, behind ``mark``, may have ended by ``at``, as its echo was stamped late."""
+        """Return whether the last SYNC, behind ``mark``, may have ended by ``at``, as its echo was stamped
+        late."""
         last = self.marks[-1]
         behind = last.number > mark.number and last.on_bus_at is not None
         return behind and (last.on_bus_at or 0) - last.late_ns <= at
 
     def may_lack(self, mark: SyncMark, at: Instant) -> bool:
-        """Whether another node's SYNC that was not heard lay nearer to ``at`` than ``mark``, the nearest."""
+        """Return whether another node's SYNC that was not heard lay nearer to ``at`` than ``mark``, the
+        nearest."""
         assert mark.on_bus_at is not None
         if not self.of_another or 2 * abs(at - mark.on_bus_at) <= self._period:
             return False

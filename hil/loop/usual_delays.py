@@ -60,11 +60,11 @@ class UsualDelays:
         """``transit``: of the shortest frame. ``echoes_late``: echoes may be stamped any time after the end
         of their frames."""
         self.low = self.high = 0
-        """Of those that are no outliers."""
+        """Least and greatest of those delays that are no outliers."""
         self.least = self.most = 0
         """From when to when a delay is usual."""
         self.apart = True
-        """Whether a usual delay is one of one SYNC only: they spread over less than a period."""
+        """True if a usual delay is one of one SYNC only: they spread over less than a period."""
         self._period = period
         self._transit = transit
         self._stuffing = transit // STUFFED_PARTS
@@ -91,22 +91,22 @@ class UsualDelays:
 
     @property
     def _may_be_all(self) -> bool:
-        """Whether delays leave a part of the period free, so that none is longer than it."""
+        """True if delays leave a part of the period free, so that none is longer than it."""
         return FREE_PARTS * self.parts * self.spread <= (FREE_PARTS - 1) * self._period
 
     @property
     def _others_are_rare(self) -> bool:
-        """Whether few of the last readings came at another delay."""
+        """True if few of the last readings came at another delay."""
         return RARE * self._unusual <= 1.0
 
     @property
     def leads(self) -> bool:
-        """Whether most of the last readings had a usual delay that is one of one SYNC only."""
+        """True if most of the last readings had a usual delay that is one of one SYNC only."""
         return self.apart and self._others_are_rare
 
     @property
     def narrow(self) -> bool:
-        """Whether one of another delay hardly looks usual: they spread over half a period at the most."""
+        """True if one of another delay hardly looks usual: they spread over half a period at the most."""
         return 2 * self.parts * self.spread <= self._period
 
     @property
@@ -122,9 +122,9 @@ class UsualDelays:
         return max(self.resolution_ns, SLACKS * spread // few, rare)
 
     def tell(self, *, certain: bool) -> bool:
-        """Whether the place of a reading, ``certain`` by what is usual, may be told so: not where most of the
-        last ones were in doubt, and one that is held up may well look usual; nor where so many came at other
-        delays that none is usual, or a calibration may have taken longer ones for shorter."""
+        """Return whether the place of a reading, ``certain`` by what is usual, may be told so: not where most
+        of the last ones were in doubt, and one that is held up may well look usual; nor where so many came at
+        other delays that none is usual, or a calibration may have taken longer ones for shorter."""
         self._unsure += (1.0 - certain - self._unsure) / KEPT
         self._told += self._told < KEPT
         self._unusual -= self._unusual / (RARE + self._told)
@@ -137,13 +137,14 @@ class UsualDelays:
         self._unusual += (not copy) / (RARE + self._told)
 
     def nearly_holds(self, delay: int) -> bool:
-        """Whether one is usual but for frames of others: no sign of frames held up until another's turn."""
+        """Return whether one is usual but for frames of others: no sign of frames held up until another's
+        turn."""
         beyond = self._period // SLIGHT_PARTS
         return self.least - beyond <= delay <= self.most + beyond
 
     def begins_at(self, low: int, count: int, *, frames: bool) -> bool:
-        """Whether the least of ``count`` delays is that of those before; ``frames``: or would be if as many
-        frames of other axes as there are had not come in front of it, or one or two more."""
+        """Return whether the least of ``count`` delays is that of those before; ``frames``: or would be if as
+        many frames of other axes as there are had not come in front of it, or one or two more."""
         off = abs(low - self.low)
         if off <= self.tolerance(self.spread, count):
             return True
@@ -152,7 +153,8 @@ class UsualDelays:
         )
 
     def are_within(self, low: int, spread: int, tolerance: int) -> bool:
-        """Whether delays from ``low`` over ``spread`` hold the usual ones, and none below the least of them.
+        """Return whether delays from ``low`` over ``spread`` hold the usual ones, and none below the least of
+        them.
 
         Delays that grew by a little less than whole periods would show some.
         """
@@ -196,12 +198,12 @@ class UsualDelays:
             self._set_limits()
 
     def saw(self, delay: int) -> bool:
-        """Whether it is no longer than others, nor shorter, but for stuff bits and chance."""
+        """Return whether it is no longer than others, nor shorter, but for stuff bits and chance."""
         beyond = max(self._stuffing, SLACKS * self.spread // max(1, len(self._kept)))
         return self.low - beyond <= delay <= self.high + beyond
 
     def holds(self, delay: int) -> bool:
-        """Whether a delay is usual."""
+        """Return whether a delay is usual."""
         return self.least <= delay <= self.most
 
     def _look(self) -> None:
@@ -262,7 +264,7 @@ class Resemblance:
 
     @property
     def strays_often(self) -> bool:
-        """Whether more than the last delay, and than are rare, were not usual."""
+        """True if more than the last delay, and than are rare, were not usual."""
         return RARE * (self._others - 1) > self._count
 
     def stray(self) -> None:
@@ -278,8 +280,8 @@ class Resemblance:
         self._count += 1
 
     def is_as_wide(self, usual: UsualDelays) -> bool:
-        """Whether the largest is the same too. For that delays which grew by whole periods would have to have
-        become more even as well, by just what is uneven in the SYNCs."""
+        """Return whether the largest is the same too. For that delays which grew by whole periods would have
+        to have become more even as well, by just what is uneven in the SYNCs."""
         return self._count > 0 and abs(self._high - usual.high) <= usual.tolerance(usual.spread, self._count)
 
     def is_shown(self, usual: UsualDelays, least: int, *, frames: bool) -> bool:

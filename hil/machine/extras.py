@@ -35,7 +35,7 @@ class MissingExtra(BenchError):
 
 
 def is_installed(package: str) -> bool:
-    """Whether one of :data:`EXTRAS` can be imported; nothing is loaded."""
+    """Return whether one of :data:`EXTRAS` can be imported; nothing is loaded."""
     try:
         return find_spec(package) is not None
     except ModuleNotFoundError:

@@ -149,7 +149,7 @@ class GuiltyPlace:
         return max(end for _, end in self.spans)
 
     def is_guilty(self, at_ns: int) -> bool:
-        """Whether an instant is of one of its spans."""
+        """Return whether an instant is of one of its spans."""
         return any(begin <= at_ns <= end for begin, end in self.spans)
 
     def as_json(self, zero_ns: int) -> dict[str, Any]:

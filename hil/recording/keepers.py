@@ -1,4 +1,4 @@
-"""What keeps a run, as its plan asks for it."""
+"""Keepers of a run, as its plan asks for them."""
 
 from servobench.hil.machine.extras import is_installed
 from servobench.hil.recording.log_files import (

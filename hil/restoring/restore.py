@@ -47,7 +47,7 @@ class Restoration:
     objects: int = 0
     """How many there were to put back."""
     written: int = 0
-    """Of these, how many held another value."""
+    """Number of these that held another value."""
     failures: list[str] = field(default_factory=list)
     """Objects that still hold something else, and why."""
 

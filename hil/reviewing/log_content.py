@@ -26,7 +26,7 @@ _ENTRIES_MAX: Final = 200_000
 
 
 class ObjectValues(NamedTuple):
-    """What a node's PDOs carried of an object, in order of time."""
+    """Values of an object that a node's PDOs carried, in order of time."""
 
     at: Instants
     """(n,) ns as the log counts."""

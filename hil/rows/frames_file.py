@@ -30,7 +30,7 @@ from servobench.hil.rows.side_rows import FRAME_DTYPE
 BATCH_FRAMES: Final = 8_192
 """Frames of a batch, at 6 to 10 bytes each; a window decodes whole batches, in some 1 ms each."""
 FRAMES_MAX: Final = 1 << 20
-"""Of a batch that is believed."""
+"""Largest batch that is believed."""
 _OPTIONS: Final = pa.ipc.IpcWriteOptions(compression="zstd")
 _BYTES: Final = np.arange(8, dtype=np.uint8)
 _DAMAGED: Final = "it is damaged; hil runs shows what it came to"

@@ -37,7 +37,7 @@ _ALWAYS: Final = frozenset(NAMES[: NAMES.index("compute_ns")])
 """Columns of every format."""
 _NEVER_NULL: Final = ("sequence", "axis", "due_at", "fate", "certain")
 _ALIASES: Final = {"float64": "double"}
-"""As Arrow writes the type."""
+"""Names of types as Arrow writes them."""
 RUN: Final = "run"
 PHASES: Final = ("calibrating", RUN, "stopping")
 PHASE_COLUMN: Final = Column("phase", "string", "", "in which phase of the bench the row was taken", PHASES)

@@ -141,8 +141,8 @@ def _meaning(text: str) -> Piece | str:
 
 
 def has_seal(metadata: Mapping[str, str]) -> bool:
-    """Whether a recording of this format, by the metadata of its records, was made with a seal; of a later
-    one it is not known."""
+    """Return whether a recording of this format, by the metadata of its records, was made with a seal; of a
+    later one it is not known."""
     told = metadata.get("format", "")
     return told.isdecimal() and UNSEALED_FORMAT_MAX < int(told) <= int(FORMAT)
 

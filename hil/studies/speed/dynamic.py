@@ -139,7 +139,7 @@ class DynamicResult(ABC):
     proved: ClassVar[dict[str, str]]
     """Meaning of ``gamma`` and other own figures, in words."""
     of_peaks: ClassVar = "over lost samples; over the floor by trial"
-    """What is known of peaks."""
+    """Knowledge of peaks."""
 
     design: PredictorDesign | FusedDesign | HinfDesign
     loop: LoopRobustness
