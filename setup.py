@@ -44,9 +44,7 @@ GROUPS = {
     "wire": [
         *_below("drivers", "exchange record timebase"),
         *_below("drivers/canopen", "frame_pump nmt"),
-        *_below(
-            "drivers/cia402", "command_watch drive_watch follow_watch readings servo setpoint supervision"
-        ),
+        *_below("drivers/cia402", "drive_watch follow_watch readings servo setpoint supervision"),
         *_below("drivers/wire", "frame_port message_port"),
     ],
     "loop": [

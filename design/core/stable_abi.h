@@ -59,6 +59,7 @@ typedef struct PyType_Slot {
     void *function;
 } PyType_Slot;
 #define Py_sq_length 45
+#define Py_tp_call 50
 #define Py_tp_clear 51
 #define Py_tp_dealloc 52
 #define Py_tp_doc 56

@@ -14,8 +14,8 @@ from servobench.drivers.cia402.follow_watch import FollowWatch, Lapse
 from servobench.drivers.cia402.objects402 import INTERLOCK, Object
 from servobench.drivers.cia402.pdo_plans import MODE
 from servobench.drivers.cia402.profile import DriveCommand, state_of
-from servobench.drivers.cia402.readings import LastStatusword
 from servobench.drivers.cia402.state_control import FAULTY, StateControl
+from servobench.drivers.core.native import LastStatusword
 from servobench.drivers.errors import DriveInFault, NoAnswer, PeerFault, PowerLost
 from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 
@@ -59,6 +59,7 @@ class DriveWatch:
         self._control = control
         self._status = status
         self._told = told
+        self._as_expected = told.as_expected
         self._now = control.network.clock.now
         self._boot_ups = 0
         self._beats = True
@@ -73,6 +74,7 @@ class DriveWatch:
         self._bears_lapses = settings.bears_lapses
         self._mode_pdo = plan.tpdo_with(*MODE)
         self._silence_ns = _silence_borne(plan, settings.drive_heartbeat_timeout_ms)
+        self._expect()
 
     def begin(self) -> None:
         """Begin the watch: the drive is enabled now."""
@@ -82,6 +84,7 @@ class DriveWatch:
         # Some drives never set the bit "voltage enabled": it can be lost only where it was.
         voltage = max(self._told.statusword, 0) & _VOLTAGE
         self._bits, self._wanted = _ENABLED_BITS | voltage, _ENABLED | voltage
+        self._expect()
         self.active = True
         self._follow.begin()
         objects = control.objects
@@ -159,13 +162,14 @@ class DriveWatch:
             raise DriveInFault(f"{control.title} fell back to {left}", control.evidence(), seen_at=seen_at)
         if control.emergency_came:
             control.ask_after_emergency()
-        if self._told.statusword & self._bits != self._wanted:
+        as_expected = self._as_expected(self._now())
+        if not as_expected and self._told.statusword & self._bits != self._wanted:
             self._end_and_stop()
             raise self._out_of_operation()
         if self._poll is not None and (self._now() - self._mode_read_at > MODE_SILENCE) != self._unanswered:
             self._unanswered, self._went_unanswered = not self._unanswered, True
             self.on_mode_watch()
-        if self._now() - self._told.at > self._silence_ns:
+        if not as_expected:
             self.active = False
             silence_ms = self._silence_ns / NS_PER_MS
             raise NoAnswer(
@@ -187,6 +191,9 @@ class DriveWatch:
         self._end_and_stop()
         control = self._control
         return DriveInFault(f"{control.title} no longer follows its commands", control.evidence())
+
+    def _expect(self) -> None:
+        self._told.expect(self._bits, self._wanted, self._silence_ns)
 
     def _end_and_stop(self) -> None:
         self.active = False

@@ -12,7 +12,8 @@ from when it first showed the mode of the commands, or shows another one again a
 from collections.abc import Callable
 from typing import Final
 
-from servobench.drivers.cia402.profile import STATE_BITS, STATUS_PATTERNS, Mode, State, Status
+from servobench.drivers.cia402.profile import Mode, Status
+from servobench.drivers.core.native import FollowReports
 from servobench.drivers.timebase import NS_PER_S, Instant
 
 FOLLOWS_BIT: Final[dict[Mode, int]] = {
@@ -27,9 +28,6 @@ is active". In the modes that are left out bit 12 means something else: set-poin
 OLDER_MAX: Final = 4
 """Reports of another mode sent before the commanded one was shown: fewer were under way when it was changed,
 as 6061h is sent every 25 ms and no frame is under way for longer than 50 ms."""
-_ENABLED: Final = STATUS_PATTERNS[State.OPERATION_ENABLED].value
-_LIMITED: Final = int(Status.INTERNAL_LIMIT_ACTIVE)
-_STATE_BITS: Final = int(STATE_BITS)
 
 
 class Lapse:
@@ -85,79 +83,68 @@ class FollowWatch:
         """The present lapse; None while the drive follows, as far as it reports."""
         self.lapses: list[Lapse] = []
         """All lapses since the last :meth:`begin`."""
-        self.mode_shown = False
-        """True once 6061h has shown the mode of the commands."""
-        self.bit_watched = False
-        """True once bit 12 was seen set."""
         self.on_change: Callable[[Lapse], None] | None = None
         """Called with each lapse when it begins, and when the drive follows again."""
+        self.reports: Final = FollowReports(self._judge, OLDER_MAX)
+        """Takes in 6061h and 6041h."""
         self._active = False
         self._mode = Mode.NONE
-        self._commanded = 0
-        self._shown = 0
         self._bit = 0
-        self._ignores = False
-        self._older = 0
-        self._mode_at = Instant(0)
 
     @property
     def has_bit(self) -> bool:
         """True if the statusword shows in the commanded mode whether the drive follows."""
         return self._bit != 0
 
+    @property
+    def mode_shown(self) -> bool:
+        """True once 6061h has shown the mode of the commands."""
+        return self.reports.mode_shown
+
+    @property
+    def bit_watched(self) -> bool:
+        """True once bit 12 was seen set."""
+        return self.reports.bit_watched
+
     def aim(self, mode: Mode) -> None:
         """Expect ``mode``: the drive confirmed it by SDO, or (NONE) is about to be given another one."""
-        self._mode, self._commanded, self._bit = mode, mode.value, FOLLOWS_BIT.get(mode, 0)
-        self._shown, self._ignores = self._commanded, False
-        self.mode_shown = self.bit_watched = False
-        self._older = 0
-        self.lapse = None
+        self._mode, self._bit = mode, FOLLOWS_BIT.get(mode, 0)
+        self.reports.aim(mode.value, self._bit)
+        self._set_lapse(None)
 
     def begin(self) -> None:
         """Begin the watch: the drive is enabled now."""
         self._active = True
         self.lapses = []
-        if self._shown != self._commanded:
-            self._judge(self._mode_at)  # it left its mode before
+        if self.reports.shown != self._mode.value:
+            self._judge(self.reports.mode_at)  # it left its mode before
 
     def end(self) -> None:
         """End the watch: the drive need not follow any more."""
-        self._active = self._ignores = self.bit_watched = False
-        self.lapse = None
+        self._active = False
+        self.reports.end()
+        self._set_lapse(None)
 
     def mode_told(self, shown: int, at: Instant) -> None:
         """Take in a 6061h that arrived."""
-        if shown == self._commanded:
-            self.mode_shown = True
-        elif not self.mode_shown:
-            self._older += 1
-            if self._older < OLDER_MAX:
-                return
-        if shown != self._shown:
-            self._shown, self._mode_at = shown, at
-            self._judge(at)
+        self.reports.mode_told(shown, at)
 
     def status_told(self, statusword: int, at: Instant) -> None:
         """Take in a 6041h that arrived."""
-        bit = self._bit
-        if not bit or self._shown != self._commanded or statusword & _STATE_BITS != _ENABLED:
-            return
-        if statusword & bit:
-            self.bit_watched = True
-            ignores = False
-        else:
-            ignores = self._ignores or (self.bit_watched and not statusword & _LIMITED)
-        if ignores is not self._ignores:
-            self._ignores = ignores
-            self._judge(at)
+        self.reports.status_told(statusword, at)
 
     def _judge(self, at: Instant) -> None:
         """Begin or end a lapse after a change of the reports."""
-        changed, self.lapse = self.lapse, None
+        reports, changed, lapse = self.reports, self.lapse, None
         if changed is not None:
             changed.ended_at = at
-        if self._active and (self._ignores or self._shown != self._commanded):
-            self.lapse = changed = Lapse(at, self._mode, self._shown)
-            self.lapses.append(changed)
+        if self._active and (reports.ignores or reports.shown != self._mode.value):
+            lapse = changed = Lapse(at, self._mode, reports.shown)
+            self.lapses.append(lapse)
+        self._set_lapse(lapse)
         if changed is not None and self.on_change is not None:
             self.on_change(changed)
+
+    def _set_lapse(self, lapse: Lapse | None) -> None:
+        self.lapse = lapse
+        self.reports.lapsed = lapse is not None

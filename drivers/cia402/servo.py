@@ -26,11 +26,12 @@ from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.observed import map_observed
 from servobench.drivers.cia402.pdo_mapping import map_pdos
 from servobench.drivers.cia402.profile import DriveCommand, Mode, State, state_of
-from servobench.drivers.cia402.readings import LastStatusword, ReadingAssembler
+from servobench.drivers.cia402.readings import ReadingAssembler
 from servobench.drivers.cia402.rest import REST_POLL, calms, resting_since
 from servobench.drivers.cia402.setpoint import SetPointFrames
 from servobench.drivers.cia402.state_control import FAULTY, StateControl
 from servobench.drivers.cia402.supervision import CommandSupervision, Release, end_heartbeat
+from servobench.drivers.core.native import LastStatusword
 from servobench.drivers.errors import BusDown, NoAnswer, PeerFault
 from servobench.drivers.exchange import (
     Command,
@@ -120,8 +121,7 @@ class ServoDrive(Drive):
         self._change_nmt(NmtCommand.ENTER_PRE_OPERATIONAL, NmtState.PRE_OPERATIONAL, settings)
         scaling = read_scaling(self.objects, settings.scale)
         notes = [*watched, *scaling.notes, *write_reactions(self.objects, settings.quick_stop_option)]
-        notes += write_limits(self.objects, settings, scaling)
-        notes += write_ramps(self.objects, settings, scaling)
+        notes += write_limits(self.objects, settings, scaling) + write_ramps(self.objects, settings, scaling)
         plan, pdo_notes = map_pdos(self.objects, settings)
         plan, observed_notes = map_observed(self.objects, plan, settings.observed)
         period, stamp = settings.sync_period_ns, settings.stamp

@@ -20,8 +20,9 @@ from servobench.drivers.cia402.profile import (
     command_path,
     state_of,
 )
-from servobench.drivers.cia402.readings import NEVER_TOLD, LastStatusword
+from servobench.drivers.cia402.readings import NEVER_TOLD
 from servobench.drivers.cia402.setpoint import SetPointFrames
+from servobench.drivers.core.native import LastStatusword
 from servobench.drivers.errors import DriveInFault, PeerFault, TransferAborted
 from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 

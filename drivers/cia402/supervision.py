@@ -18,7 +18,6 @@ from servobench.drivers.cia402.command_watch import (
     ACTUAL_MARGIN_RAW,
     ACTUAL_SHARE,
     DEMAND_MARGIN_RAW,
-    CommandWatch,
 )
 from servobench.drivers.cia402.drive_setup import DriveSettings
 from servobench.drivers.cia402.objects402 import Object
@@ -26,6 +25,7 @@ from servobench.drivers.cia402.pdo_plans import TARGETS, features_of
 from servobench.drivers.cia402.profile import Mode, State
 from servobench.drivers.cia402.readings import ReadingAssembler
 from servobench.drivers.cia402.velocity_mode import velocity_mode_ramp, velocity_mode_unit
+from servobench.drivers.core.native import CommandWatch
 from servobench.drivers.errors import BusDown, PeerFault, TransferAborted
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 
@@ -158,7 +158,7 @@ class CommandSupervision:
     def _demand_read(self, data: bytes, at: Instant) -> None:  # noqa: ARG002
         watch, assembler = self._watch, self._assembler
         if watch is not None and assembler is not None:
-            assembler.tell_watch(watch, int.from_bytes(data, "little", signed=True))
+            assembler.tell_watch(watch, int.from_bytes(data[:4], "little", signed=True))
 
     def sent(self, raw: int) -> None:
         """Note that a command was handed to the bus."""

@@ -1,4 +1,5 @@
 /* The module servobench.drivers.core.native; native.pyi says what it holds. */
+#include "inlet.h"
 #include "objects.h"
 #include "types.h"
 
@@ -38,6 +39,12 @@ static bool fill(PyObject *module)
     PyTypeObject *pump_type;
     return add_type(module, "WireFrame", &frame_spec, &frame_type) && name_fields()
            && add_type(module, "Link", &link_spec, &link_type) && add_type(module, "Pump", &pump_spec, &pump_type)
+           && add_type(module, "CommandWatch", &command_watch_spec, &command_watch_type)
+           && add_type(module, "FollowReports", &follow_reports_spec, &follow_reports_type)
+           && add_type(module, "LastStatusword", &last_statusword_spec, &last_statusword_type)
+           && add_type(module, "Reception", &reception_spec, &reception_type)
+           && add_type(module, "Inlet", &inlet_spec, &inlet_type)
+           && PyModule_AddIntConstant(module, "TOLD_THE_SAME", TOLD_THE_SAME) == 0
            && PyModule_AddStringConstant(module, "SOURCES_DIGEST", SOURCES_DIGEST) == 0;
 }
 

@@ -3,10 +3,13 @@
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-from servobench.drivers.timebase import Instant
+from servobench.drivers.timebase import Duration, Instant
 
 SOURCES_DIGEST: str
 """Digest of the C sources of the core (servobench.design.core.build)."""
+
+TOLD_THE_SAME: int
+"""Equal torque demands, each after a further command, that a CommandWatch takes for one that stays."""
 
 def nearest(value: float, /) -> int:
     """``round(value)`` of a float, in a third of its time. Error: ValueError, OverflowError for what is not
@@ -136,3 +139,194 @@ class Pump:
         """Let time pass like :meth:`pump`, but leave frames in the bus's queue until ``until``, or until
         housekeeping is due: one wake-up instead of one per frame. The bus stamps them, so nothing is lost; on
         a bus that needs watching this is :meth:`pump`."""
+
+class CommandWatch:
+    """Looks for the value that a drive reports among the last commands.
+
+    Of the ``cycles`` after the last command that a drive has heard, half pass until that is no recent one any
+    more, and half to make sure that the drive goes on with it. So a drive that acts on a command only after
+    more than half of them counts as deaf. Commands that stay the same prove nothing, and raise no alarm: the
+    old one is as good as the new.
+
+    A demand that stays the same to the last digit, for as long as half of the ``cycles``, while the commands
+    do not, is followed neither, whatever they are; one of torque eight times, each after a further command,
+    too. That alone is asked of speeds and positions, which a drive may reach by a ramp: the commands since
+    the demand came to rest spread over more than twice the margin, and none of the newest is the demand. A
+    speed that stays at 0, or against the commands, is on the way to none of them, though they be constant.
+    """
+
+    def __init__(
+        self,
+        cycles: int,
+        margin_raw: int,
+        *,
+        equal: bool = True,
+        share: int = 0,
+        least_raw: int | None = None,
+        unit_cycles: int = 0,
+    ) -> None:
+        """``margin_raw``: of a demand that follows; ``share``: beside it, one part in so many of the command.
+        ``equal``: the demand of a drive that follows is a command; False: it is on the way to one, by a ramp
+        that takes ``unit_cycles`` for a unit. ``least_raw``: the least speed whose sign counts; None: the
+        demand is no speed. Error: ValueError for less than two cycles, or a number below 0."""
+
+    def sent(self, raw: int, /) -> None:
+        """A command was handed to the bus."""
+
+    def excuse(self) -> None:
+        """The drive reports by other means that it does not follow, or why it cannot."""
+
+    def told(self, raw: int, limited: bool = False, /) -> None:
+        """Take in the reported demand or torque; ``limited``: the drive says that it clips a command."""
+
+    @property
+    def follows(self) -> bool:
+        """False once ``cycles`` commands went by unfollowed according to the drive's reports."""
+
+class FollowReports:
+    """What 6061h and 6041h say of whether a drive follows; see servobench.drivers.cia402.follow_watch."""
+
+    def __init__(self, changed: Callable[[Instant], None], older_max: int, /) -> None:
+        """``changed`` is called with the instant of a report that changes ``shown`` or ``ignores``.
+        ``older_max``: so many reports of another mode before the commanded one was shown count."""
+
+    def aim(self, commanded: int, bit: int, /) -> None:
+        """Expect this 6061h. ``bit``: of the statusword, 0 while the drive ignores its target; 0: none."""
+
+    def end(self) -> None:
+        """The drive need not follow any more."""
+
+    def mode_told(self, shown: int, at: Instant, /) -> None:
+        """Take in a 6061h that arrived."""
+
+    def status_told(self, statusword: int, at: Instant, /) -> None:
+        """Take in a 6041h that arrived."""
+
+    @property
+    def shown(self) -> int:
+        """The last 6061h, or the one that is expected."""
+
+    @property
+    def mode_at(self) -> Instant:
+        """When it came."""
+
+    @property
+    def ignores(self) -> bool:
+        """True while the statusword says that the drive ignores its target."""
+
+    @property
+    def mode_shown(self) -> bool:
+        """True once 6061h has shown the commanded mode."""
+
+    @property
+    def bit_watched(self) -> bool:
+        """True once the bit was seen set."""
+    lapsed: bool
+    """Set by the user: the drive does not follow, and so no CommandWatch is asked."""
+
+class LastStatusword:
+    """The last statusword of a drive, by PDO or SDO."""
+
+    def __init__(self) -> None: ...
+    def take(self, statusword: int, at: Instant, /) -> None:
+        """Take in a statusword of the drive, read by SDO."""
+
+    def expect(self, bits: int, wanted: int, silence: Duration, /) -> None:
+        """Expect that ``bits`` of the statusword are ``wanted``, and that it is never older than
+        ``silence``."""
+
+    def as_expected(self, now: Instant, /) -> bool:
+        """Whether it is as expected at ``now``; nothing is before :meth:`expect`."""
+
+    @property
+    def statusword(self) -> int:
+        """0x6041, raw; -1 before the first."""
+
+    @property
+    def at(self) -> Instant:
+        """When it arrived; -1 before the first."""
+
+    @property
+    def by_pdo(self) -> int:
+        """The last one by PDO; -1 before the first."""
+
+class Reception:
+    """What the TPDOs of one drive tell, as readings; see servobench.drivers.cia402.readings."""
+
+    def __init__(
+        self,
+        velocity_rad_s: float,
+        torque_nm: float,
+        position_rad: float,
+        period_ns: Duration,
+        stamp_bits: int,
+        count_ns: int,
+        leads: bool,
+        stamped: bool,
+        told: LastStatusword,
+        follow: FollowReports,
+        syncs: object,
+    ) -> None:
+        """``velocity_rad_s``, ``torque_nm``, ``position_rad``: of one unit of the drive, with its sign.
+        ``count_ns``: of its stamp. ``leads``: a position comes before the speed of its SYNC; ``stamped``: the
+        stamp comes with the speed. ``syncs`` has ``sync_count``. Error: ValueError for times beyond 1 s."""
+    watch: CommandWatch | None
+    """Takes in every demand, or torque, that arrives."""
+    def anchor_position(self, raw: int, at: Instant, /) -> None:
+        """Anchor the position: 0x6064 as read at ``at``, from which positions are extrapolated."""
+
+    def take_readings(self) -> bytes:
+        """Return rows of 8-octet numbers: speed, rad/s, position, rad, torque, N m, as floats; stamp, ns, or
+        -2**63, instants of the speed, the position and the torque, statusword and its instant."""
+
+    def take_readbacks(self) -> bytes:
+        """The same of demands 6074h that came with a SYNC: raw, instant, readings made by then, and 1 if it
+        came in the frame of the last of them."""
+
+    def take_changes(self) -> bytes:
+        """The same of demands sent on change: raw, stamp, ns, and instant."""
+
+    def position_rad(self, raw: int | None, /) -> float:
+        """Convert a raw position near the last one, on the scale of the readings; None: the last one."""
+
+    def tell_watch(self, watch: CommandWatch, raw: int, /) -> None:
+        """Pass a demand or torque to the watch. A drive that itself reports not following needs no watch."""
+
+    @property
+    def malformed(self) -> int:
+        """PDOs whose length differs from the mapping."""
+
+    @property
+    def readings_made(self) -> int: ...
+    @property
+    def torque_nm(self) -> float:
+        """The last one told; NaN before the first."""
+
+    @property
+    def torque_told_at(self) -> Instant: ...
+    @property
+    def position_told_at(self) -> Instant: ...
+
+class Inlet:
+    """Unpacks the frames of one TPDO for a Reception; a handler of a Pump, which calls it without Python."""
+
+    def __init__(
+        self,
+        reception: Reception,
+        octets: int,
+        fields: tuple[tuple[int, int, bool] | None, ...],
+        on_change: bool,
+        /,
+    ) -> None:
+        """``octets``: of a frame as mapped. ``fields``: place, octets and whether it is signed, or None, of
+        statusword, mode, torque, position, speed, stamp, demand and what a CommandWatch takes in.
+        ``on_change``: not sent with SYNCs. Error: ValueError for a field that the frame does not have."""
+
+    def __call__(self, data: bytes, at: Instant, /) -> None:
+        """Take in a frame."""
+
+    def keep(self) -> None:
+        """Begin to keep the frames, malformed ones included."""
+
+    def take_kept(self) -> list[tuple[bytes, Instant]]:
+        """Return those kept since the last call, each with its instant."""

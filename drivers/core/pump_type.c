@@ -1,6 +1,7 @@
 /* Python's Pump (native.pyi): hands frames from a link to their handlers, and has housekeeping done when due. */
 #include <stddef.h>
 
+#include "inlet.h"
 #include "link.h"
 #include "types.h"
 
@@ -90,34 +91,48 @@ static bool call_at(PyObject *callable, int64_t at)
 }
 
 /* An echo without a handler goes nowhere. */
-static bool dispatch_echo(PumpObject *self, const FrameObject *frame, PyObject *can_id, PyObject *at)
+static bool dispatch_echo(PumpObject *self, const FrameObject *frame, PyObject *can_id, int64_t at)
 {
     PyObject *handler = PyDict_GetItemWithError(self->echo_handlers, can_id);
     if (handler == NULL)
         return !PyErr_Occurred();
-    PyObject *arguments[] = {frame->data, at, PyLong_FromLongLong(frame->handed_at)};
-    bool well = arguments[2] != NULL && call_with(handler, arguments, 3);
+    PyObject *arguments[] = {frame->data, PyLong_FromLongLong(at), PyLong_FromLongLong(frame->handed_at)};
+    bool well = arguments[1] != NULL && arguments[2] != NULL && call_with(handler, arguments, 3);
     forget(&arguments[2]);
+    forget(&arguments[1]);
     return well;
 }
 
-static bool dispatch_frame(PumpObject *self, const FrameObject *frame, PyObject *can_id, PyObject *at)
+/* A TPDO's inlet is C: no object is made of the instant. */
+static bool dispatch_pdo(PyObject *handler, const FrameObject *frame, int64_t at)
+{
+    InletObject *inlet = (InletObject *)another(handler);
+    bool well = take_pdo(inlet, frame->data, at);
+    Py_DecRef((PyObject *)inlet);
+    return well;
+}
+
+static bool dispatch_frame(PumpObject *self, const FrameObject *frame, PyObject *can_id, int64_t at)
 {
     PyObject *handler = PyDict_GetItemWithError(self->handlers, can_id);
     if (handler == NULL && PyErr_Occurred())
         return false;
-    PyObject *arguments[] = {can_id, frame->data, at};
-    return handler == NULL ? call_with(self->others, arguments, 3) : call_with(handler, arguments + 1, 2);
+    if (handler != NULL && handler->type == inlet_type)
+        return dispatch_pdo(handler, frame, at);
+    PyObject *arguments[] = {can_id, frame->data, PyLong_FromLongLong(at)};
+    bool well = arguments[2] != NULL
+                && (handler == NULL ? call_with(self->others, arguments, 3) : call_with(handler, arguments + 1, 2));
+    forget(&arguments[2]);
+    return well;
 }
 
 /* The link's last frame, to whom it belongs; it is held, as what is called may fetch the next one. */
 static bool dispatch(PumpObject *self)
 {
     FrameObject *frame = (FrameObject *)another((PyObject *)self->link->last);
-    PyObject *can_id = identifier(frame->can_id), *at = PyLong_FromLongLong(self->link->last_at);
-    bool well = can_id != NULL && at != NULL
-                && (self->link->last_own ? dispatch_echo : dispatch_frame)(self, frame, can_id, at);
-    forget(&at);
+    PyObject *can_id = identifier(frame->can_id);
+    bool well = can_id != NULL
+                && (self->link->last_own ? dispatch_echo : dispatch_frame)(self, frame, can_id, self->link->last_at);
     forget(&can_id);
     Py_DecRef((PyObject *)frame);
     return well;

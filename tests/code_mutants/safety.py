@@ -62,7 +62,6 @@ SAFETY: Final = (
     Guarded("hil/loop/loop.py", ("Loop._miss",), _LOOP, words=("reason", "+= 1")),
     Guarded("hil/loop/loop.py", ("Loop._serve",), _LOOP, words=("served", "_cycle", "_miss")),
     Guarded("hil/loop/loop.py", ("Loop._drain",), _LOOP),
-    Guarded("drivers/cia402/command_watch.py", ("*",), ("tests/unit/drivers/test_command_watch.py",)),
     Guarded("drivers/cia402/supervision.py", ("*",), _SUPERVISION),
     Guarded("drivers/cia402/drive_watch.py", ("*",), _WATCH),
     Guarded("drivers/cia402/rest.py", ("*",), (_UNIT + "test_rest.py", _UNIT + "test_servo.py")),

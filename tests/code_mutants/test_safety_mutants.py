@@ -17,10 +17,9 @@ NAMED = (
     ("hil/commissioning/request.py", "motion_limits", "given.turns_max / math.tau"),
     ("hil/commissioning/steps_units.py", "pulses", "0.4 / session.limits.travel_rad"),
     ("hil/commissioning/session.py", "Session.check_temperature", "raw / told.celsius"),
-    ("drivers/cia402/command_watch.py", "CommandWatch.told", "self._sent + self._followed"),
     ("drivers/cia402/rest.py", "resting_since", "now() + since"),
     ("drivers/cia402/drive_watch.py", "DriveWatch.check", "status.lost_at is None"),
-    ("drivers/cia402/drive_watch.py", "DriveWatch.check", "self._now() + self._told.at"),
+    ("drivers/cia402/drive_watch.py", "DriveWatch.check", "(as_expected) and"),
 )
 """File, function and a part of what the mutant becomes."""
 

@@ -64,6 +64,7 @@ from tests.core_fuzz.fates import ODD, Refused, drawn_judge, odd_number
 from tests.core_fuzz.links import links
 from tests.core_fuzz.machines import drawn_encoder, drawn_mechanism, drawn_sensors
 from tests.core_fuzz.pdos import pdos
+from tests.core_fuzz.receptions import receptions
 from tests.core_fuzz.streams import streams
 from tests.motors import AZAIZ, LING
 
@@ -358,4 +359,4 @@ def misuse(draw: random.Random) -> None:
             continue
 
 
-WORLDS: Final = (frames, drive, random_runs, misuse, bus, ring, streams, pdos, links, devices)
+WORLDS: Final = (frames, drive, random_runs, misuse, bus, ring, streams, pdos, links, devices, receptions)

@@ -8,9 +8,8 @@ from servobench.drivers.cia402.command_watch import (
     ACTUAL_MARGIN_RAW,
     ACTUAL_SHARE,
     DEMAND_MARGIN_RAW,
-    TOLD_THE_SAME,
-    CommandWatch,
 )
+from servobench.drivers.core.native import TOLD_THE_SAME, CommandWatch
 
 CYCLES, HALF = 20, 10
 
@@ -166,11 +165,11 @@ def test_a_drive_that_cuts_a_command_follows_it() -> None:
     watch = CommandWatch(CYCLES, 2)
     for command, shown in zip(commands, told, strict=True):
         watch.sent(command)
-        watch.told(shown, limited=True)
+        watch.told(shown, True)
         assert watch.follows
     for command in [-500] * CYCLES:
         watch.sent(command)
-        watch.told(60, limited=True)
+        watch.told(60, True)
     assert not watch.follows, "it pushes the other way"
 
 

@@ -14,8 +14,9 @@ from servobench.drivers.cia402.follow_watch import FollowWatch
 from servobench.drivers.cia402.pdo_planner import mode_plan
 from servobench.drivers.cia402.pdo_plans import Features, PlanWish
 from servobench.drivers.cia402.profile import Mode
-from servobench.drivers.cia402.readings import LastStatusword, ReadingAssembler
+from servobench.drivers.cia402.readings import ReadingAssembler
 from servobench.drivers.cia402.scaling import Scaling
+from servobench.drivers.core.native import LastStatusword
 from servobench.drivers.exchange import DemandChange, Readback, Reading
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Duration, Instant
 from tests.unit.drivers.fake_bus import FakeBus, make_network

@@ -8,7 +8,8 @@ import pytest
 from servobench.drivers.cia402.follow_watch import FollowWatch
 from servobench.drivers.cia402.pdo_planner import mode_plan
 from servobench.drivers.cia402.pdo_plans import PlanWish
-from servobench.drivers.cia402.readings import LastStatusword, ReadingAssembler
+from servobench.drivers.cia402.readings import ReadingAssembler
+from servobench.drivers.core.native import LastStatusword
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_MS, Duration
 from servobench.drivers.vendors.families import read_family, stamp_for

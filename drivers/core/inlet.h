@@ -1,0 +1,29 @@
+/* The frames of one TPDO: Python's Inlet. */
+#ifndef CORE_INLET_H
+#define CORE_INLET_H
+
+#include "reception.h"
+
+/* Objects with a use; all others are skipped. */
+typedef enum Told { STATUS, MODE, TORQUE, POSITION, VELOCITY, STAMP, DEMAND, WATCHED, TOLD_COUNT } Told;
+
+/* A whole number in a PDO, little-endian (CiA 301, 7.1.4). */
+typedef struct OctetField {
+    int place, octets; /* 0 octets: not mapped */
+    bool is_signed;
+} OctetField;
+
+typedef struct InletObject {
+    PyObject head;
+    ReceptionObject *reception;
+    PyObject *kept; /* a list of frames, each with its instant; NULL: they are not kept */
+    OctetField fields[TOLD_COUNT];
+    int octets;     /* of a frame as mapped */
+    bool on_change; /* a torque demand and its stamp, sent when the demand changes */
+} InletObject;
+
+extern PyTypeObject *inlet_type;
+
+bool take_pdo(InletObject *self, PyObject *data, int64_t at);
+
+#endif
