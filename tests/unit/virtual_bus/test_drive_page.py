@@ -1,12 +1,15 @@
 """The page about the simulated drive names objects and modes that are there, and all of its own."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
+from servobench.design.mechanism import EndStops, Mechanism, PlacedLoad
 from servobench.drivers.canopen.data_types import DataType
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode
 from servobench.virtual_bus.drive.homing_methods import HOMING_METHODS
+from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ServoBench
 
 PAGE = (Path(__file__).parents[3] / "docs" / "simulated-drive.md").read_text(encoding="utf-8")
@@ -21,11 +24,13 @@ def test_every_object_of_the_page_is_in_the_dictionary() -> None:
 
 
 def test_the_machines_objects_have_these_types_and_no_other_is_there() -> None:
-    dictionary = ServoBench().servo.dictionary
+    """On a machine that has all of them."""
+    load = PlacedLoad(stops=EndStops(-1.0, 1.0, 100.0, 0.1))
+    dictionary = ServoBench(motor=replace(LING, mechanism=Mechanism(load=load))).servo.dictionary
     told = {
         (int(index, 16), int(sub)): DataType[kind]
         for names, kind in MACHINE_ROW.findall(PAGE)
-        for index, sub in re.findall(r"(\w{4})h:(\d)", names)
+        for index, sub in re.findall(r"(\w{4})h:(\d+)", names)
     }
     there = {
         (index, sub): variable.data_type
