@@ -65,7 +65,9 @@ GROUPS = {
     ],
     "device": [
         *_below("virtual_bus/device", "application canopen_device heartbeat object_dictionary"),
-        *_below("virtual_bus/device", "pdo_codec pdo_engine pdo_parameters rpdo station sync_consumer"),
+        *_below(
+            "virtual_bus/device", "pdo_codec pdo_engine pdo_parameters pdo_task rpdo station sync_consumer"
+        ),
         *_below("virtual_bus/device", "sync_task tpdo"),
         *_below("virtual_bus/drive", "actual_values axis cyclic_modes failures firmware homing"),
         *_below(

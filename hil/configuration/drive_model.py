@@ -1,5 +1,5 @@
 """Files of simulated drives: their source, ``[supply]``, limits of their power stage, ``[protection]``,
-their ``[inverter]``, ``[current_sensor]``, ``[encoder]`` and ``[current_loop]``.
+their ``[inverter]``, ``[current_sensor]``, ``[encoder]``, ``[current_loop]`` and ``[timing]``.
 
 ``like`` of ``[drive.NAME.simulation]`` names one or a preset, or has its tables.
 """
@@ -13,9 +13,11 @@ from pydantic import Field, model_validator
 
 from servobench.design.motor import PmsmParameters
 from servobench.drivers.bounded_file import NamedBy
+from servobench.drivers.timebase import NS_PER_US
 from servobench.hil.configuration.config_files import Section
 from servobench.hil.configuration.preset_files import FromPreset, load_file_or_preset
 from servobench.hil.configuration.quantities import Current, Resistance, Voltage
+from servobench.virtual_bus.device.device_options import AT_ONCE, TaskOptions
 from servobench.virtual_bus.drive.encoder import Encoder, SineErrors, SpeedMethod, SpeedSensing
 from servobench.virtual_bus.drive.power_stage import (
     Chopper,
@@ -269,6 +271,46 @@ class InverterTable(Section):
         return Inverter(left * self.dead_time_us * 1e-6, self.zero_band_a, self.output_percent / 100.0)
 
 
+TaskPeriod = Annotated[float, Field(ge=10.0, le=20_000.0)]
+TaskPhase = Annotated[float, Field(ge=0.0, le=20_000.0)]
+
+
+class TimingTable(Section):
+    """``[timing]``: tasks of the firmware that take PDOs in and send them, counted from power-on."""
+
+    rpdo_task_us: TaskPeriod | None = None
+    """A command is taken in at the next tick of so long a period; absent: when its frame ends."""
+    rpdo_phase_us: TaskPhase = 0.0
+    """The first tick, after power-on."""
+    dead_time_us: float = Field(default=0.0, ge=0.0, le=10_000.0)
+    """From that tick until the command acts."""
+    tpdo_task_us: TaskPeriod | None = None
+    """A SYNC is acted on, and a TPDO sampled and sent, at the next tick of this one; absent: at once."""
+    tpdo_phase_us: TaskPhase = 0.0
+    locked_to_sync: bool = False
+    """Ticks count from the last SYNC that was acted on, once there was one."""
+
+    @model_validator(mode="after")
+    def _check_phases(self) -> Self:
+        for task in ("rpdo", "tpdo"):
+            phase_us, period_us = getattr(self, f"{task}_phase_us"), getattr(self, f"{task}_task_us")
+            if phase_us and (period_us is None or phase_us >= period_us):
+                raise ValueError(f"{task}_phase_us below {task}_task_us")
+        return self
+
+    @property
+    def parameters(self) -> TaskOptions:
+        """The tasks of the simulated drive."""
+        return TaskOptions(
+            rpdo_ns=round((self.rpdo_task_us or 0.0) * NS_PER_US),
+            rpdo_phase_ns=round(self.rpdo_phase_us * NS_PER_US),
+            dead_ns=round(self.dead_time_us * NS_PER_US),
+            tpdo_ns=round((self.tpdo_task_us or 0.0) * NS_PER_US),
+            tpdo_phase_ns=round(self.tpdo_phase_us * NS_PER_US),
+            locked=self.locked_to_sync,
+        )
+
+
 class CurrentLoopTable(Section):
     """``[current_loop]``: the period of current loops and inverter."""
 
@@ -287,6 +329,7 @@ class DriveModel(FromPreset):
     inverter: InverterTable | None = Field(default=None, description="the table [inverter]")
     current_sensor: CurrentSensorTable | None = Field(default=None, description="the table [current_sensor]")
     current_loop: CurrentLoopTable | None = Field(default=None, description="the table [current_loop]")
+    timing: TimingTable | None = Field(default=None, description="the table [timing]")
 
     @property
     def rates(self) -> dict[str, int]:
@@ -311,6 +354,7 @@ class DriveModel(FromPreset):
             "current_sensors": None if self.current_sensor is None else self.current_sensor.parameters,
             "encoder": encoder.parameters,
             "speed": encoder.speed.parameters,
+            "tasks": AT_ONCE if self.timing is None else self.timing.parameters,
         }
 
     def runs(self, motor: PmsmParameters) -> PmsmParameters:

@@ -885,6 +885,9 @@ class CyclicRpdo:
     def map(self, codec: PdoCodec, /) -> None:
         """What it maps."""
 
+    def take(self, frame: WireFrame, now: Instant, /) -> None:
+        """Act on a frame that was held back; ``now``: that of the device's last entry."""
+
     def forget_waiting(self) -> None:
         """What waits for a SYNC does not take effect."""
 

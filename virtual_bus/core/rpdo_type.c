@@ -234,7 +234,16 @@ static PyObject *call_forget_waiting(PyObject *self, PyObject *none)
     return nothing();
 }
 
+static PyObject *call_take(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
+{
+    int64_t now;
+    if (!takes(count, 2, "take") || !is_a(arguments[0], frame_type, "a WireFrame") || !integer(arguments[1], &now))
+        return NULL;
+    return take_rpdo(rpdo_of(self), (FrameObject *)arguments[0], now) ? nothing() : NULL;
+}
+
 static PyMethodDef methods[] = {
+    {"take", (PyCFunction)(void (*)(void))call_take, METH_FASTCALL, NULL},
     {"map", call_map, METH_O, NULL},
     {"forget_waiting", call_forget_waiting, METH_NOARGS, NULL},
     {0},

@@ -28,6 +28,7 @@ from servobench.virtual_bus.device.nmt import NmtSlave
 from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
 from servobench.virtual_bus.device.parameter_storage import MemoryStore, ParameterStorage, ParameterStore
 from servobench.virtual_bus.device.pdo_engine import PdoEngine
+from servobench.virtual_bus.device.pdo_task import task_of
 from servobench.virtual_bus.device.sdo_server import SdoServer
 from servobench.virtual_bus.device.station import Handler, Station
 from servobench.virtual_bus.device.sync_consumer import SyncConsumer
@@ -60,6 +61,9 @@ class CanopenDevice:
         options = options or DeviceOptions()
         self._station = station = Station(node_id, ObjectDictionary(), application)
         self._application = application
+        tasks = options.tasks
+        station.receiving = task_of(tasks.rpdo_ns, tasks.rpdo_phase_ns, tasks.dead_ns)
+        station.sending = task_of(tasks.tpdo_ns, tasks.tpdo_phase_ns)
         self._cycle = station.cycle
         stamp = options.stamp
         self.clock = clock = DeviceClock(
@@ -82,7 +86,7 @@ class CanopenDevice:
         self._emergency = EmergencyProducer(station)
         self._nmt = NmtSlave(station, self._reset_node, self._reset_communication)
         self._pdos = PdoEngine(station, self._emergency)
-        self._sync = SyncConsumer(station, self._emergency, clock, options.sync)
+        self._sync = SyncConsumer(station, self._emergency, clock, options.sync, options.tasks.locked)
         store = store or MemoryStore()
         self._storage = ParameterStorage(station.dictionary, store)
         self._lss = LssSlave(station, store, self._take_node_id)
@@ -172,6 +176,9 @@ class CanopenDevice:
     def start(self, now: Instant) -> Sequence[Frame]:
         """Power on, for the first time or again: boot-up, PRE-OPERATIONAL."""
         self._cycle.now = now
+        for task in (self._station.receiving, self._station.sending):
+            if task is not None:
+                task.begin(now)
         self._cycle.forget_frames()
         self._storage.power_on()
         self._lss.power_on()

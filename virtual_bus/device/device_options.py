@@ -97,6 +97,38 @@ class SyncOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class TaskOptions:
+    """Periodic tasks that take PDOs in and send them, their ticks counted from power-on."""
+
+    rpdo_ns: int = 0
+    """An RPDO is taken in at the next tick of so long a period; 0: when its frame ends."""
+    rpdo_phase_ns: int = 0
+    """The first tick, after power-on."""
+    dead_ns: int = 0
+    """From that tick until the RPDO acts, or waits for its SYNC."""
+    tpdo_ns: int = 0
+    """A SYNC is acted on, and an event-driven TPDO sampled and sent, at the next tick of this one; 0: at
+    once."""
+    tpdo_phase_ns: int = 0
+    locked: bool = False
+    """Ticks count from the last SYNC that was acted on, once there was one."""
+
+    def __post_init__(self) -> None:
+        """Error: ValueError for a phase that is none."""
+        for name, phase_ns, period_ns in (
+            ("rpdo", self.rpdo_phase_ns, self.rpdo_ns),
+            ("tpdo", self.tpdo_phase_ns, self.tpdo_ns),
+        ):
+            if not 0 <= phase_ns < max(period_ns, 1):
+                expected = f"0 up to its period, {period_ns} ns, expected"
+                raise ValueError(f"{name} task: phase {phase_ns} ns: {expected}")
+
+
+AT_ONCE: Final = TaskOptions()
+"""The default of a simulated device."""
+
+
+@dataclass(frozen=True, slots=True)
 class DeviceOptions:
     """Everything about a device's communication that its dictionary starts with."""
 
@@ -116,3 +148,4 @@ class DeviceOptions:
     stamp: StampOptions = StampOptions()
     """How 1013h tells of that clock."""
     sync: SyncOptions = SyncOptions()
+    tasks: TaskOptions = AT_ONCE

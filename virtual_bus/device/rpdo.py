@@ -1,5 +1,6 @@
 """Receive PDOs: immediate (254, 255) or at the next SYNC (0..240), with deadline (CiA 301, 7.2.2)."""
 
+from collections import deque
 from typing import Final
 
 from servobench.drivers.canopen.error_codes import ErrorRegister
@@ -10,7 +11,8 @@ from servobench.virtual_bus.device.application import CommunicationLoss
 from servobench.virtual_bus.device.emergency import EmergencyProducer
 from servobench.virtual_bus.device.pdo_codec import compiled
 from servobench.virtual_bus.device.pdo_parameters import PdoParameters
-from servobench.virtual_bus.device.station import Station
+from servobench.virtual_bus.device.station import Handler, Station
+from servobench.virtual_bus.frame import Frame
 
 PDO_TOO_SHORT: Final = 0x8210
 PDO_TOO_LONG: Final = 0x8220
@@ -31,6 +33,9 @@ class ReceivePdo(PdoParameters):
         self._number = number
         self._listening: int | None = None
         self._deadline = deadline = station.timer(self._on_deadline)
+        self._held: deque[tuple[Instant, Frame]] = deque()
+        """Frames that the task has not taken in, and when it will."""
+        self._holding = station.timer(self._on_due)
         self.reception: Final = CyclicRpdo(
             station.cycle, self._judge_length, deadline, self._deadline_met, compiled([])
         )
@@ -38,22 +43,43 @@ class ReceivePdo(PdoParameters):
     def configure(self) -> None:
         """Take over COB-ID, type, mapping and deadline."""
         if self._listening is not None:
-            self.station.ignore(self._listening, self.reception)
+            self.station.ignore(self._listening, self._handler)
             self._listening = None
         self.reception.map(compiled(self.fields()))
         self.reception.synchronous = self.parameter(2) <= SYNCHRONOUS_TYPE_MAX
         self.reception.deadline_ns = Duration(self.parameter(5) * NS_PER_MS)
-        self.reception.forget_waiting()
+        self._forget()
         # The deadline counts from the next reception, so a change starts from anew.
         self._deadline.stop()
         if self.exists:
             self._listening = self.can_id
-            self.station.listen(self._listening, self.reception)
+            self.station.listen(self._listening, self._handler)
 
     def leave_operational(self) -> None:
         """PDOs exist in OPERATIONAL only: forget what waits for a SYNC, and the deadline."""
-        self.reception.forget_waiting()
+        self._forget()
         self._deadline.stop()
+
+    @property
+    def _handler(self) -> Handler:
+        return self.reception if self.station.receiving is None else self._hold
+
+    def _hold(self, frame: Frame, now: Instant) -> None:
+        assert self.station.receiving is not None
+        self._held.append((self.station.receiving.due(now), frame))
+        self._holding.start(self._held[0][0])
+
+    def _on_due(self, now: Instant) -> None:
+        while self._held and self._held[0][0] <= now:
+            self.reception.take(self._held.popleft()[1], now)
+        if self._held:
+            self._holding.start(self._held[0][0])
+
+    def _forget(self) -> None:
+        """What waits for the task, or for a SYNC, does not take effect."""
+        self._held.clear()
+        self._holding.stop()
+        self.reception.forget_waiting()
 
     def _judge_length(self, length: int) -> None:
         """8210h: too short, not processed. 8220h: too long, the first bytes are. (CiA 301, table 26)."""

@@ -8,6 +8,7 @@ from servobench.drivers.timebase import Instant
 from servobench.virtual_bus.core.native import CyclicDevice, CyclicRpdo, SyncTaker, Timer
 from servobench.virtual_bus.device.application import Application
 from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
+from servobench.virtual_bus.device.pdo_task import PdoTask
 from servobench.virtual_bus.frame import Frame
 
 Handler = Callable[[Frame, Instant], None] | CyclicRpdo | SyncTaker
@@ -22,6 +23,10 @@ class Station:
         self.application = application
         self._state = NmtState.INITIALISING
         self.cycle: Final = CyclicDevice(application)
+        self.receiving: PdoTask | None = None
+        """The task that takes RPDOs in; None: at once."""
+        self.sending: PdoTask | None = None
+        """The task that acts on SYNCs and sends TPDOs; None: at once."""
         self.data_handlers: dict[int, tuple[Handler, ...]] = {}
         """By CAN-ID; several parts may listen to one CAN-ID."""
         self.remote_handlers: dict[int, tuple[Handler, ...]] = {}

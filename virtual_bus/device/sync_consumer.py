@@ -36,9 +36,14 @@ class SyncConsumer:
         emergency: EmergencyProducer,
         clock: DeviceClock,
         options: SyncOptions,
+        locks: bool = False,
     ) -> None:
+        """``locks``: the tasks of PDOs count from SYNCs."""
         self._station = station
-        self._task = None if options.at_once else SyncTask(options, f"SYNC {station.node_id}")
+        tasks = (station.receiving, station.sending) if locks else ()
+        self._locked = [task for task in tasks if task is not None]
+        at_once = options.at_once and station.sending is None and not self._locked
+        self._task = None if at_once else SyncTask(options, f"SYNC {station.node_id}")
         self._held: deque[tuple[Instant, int]] = deque()
         """SYNCs that the task has not acted on: when it will, and their counters."""
         self._holding = station.timer(self._on_due)
@@ -91,7 +96,10 @@ class SyncConsumer:
     def _hold(self, counter: int, now: Instant) -> None:
         assert self._task is not None
         period_ns = self._station.value(Cia301.CYCLE_PERIOD) * NS_PER_US
-        self._held.append((self._task.due(now, period_ns), counter))
+        due, sending = self._task.due(now, period_ns), self._station.sending
+        for task in self._locked:
+            task.begin(due)
+        self._held.append((due if sending is None else sending.due(due), counter))
         self._holding.start(self._held[0][0])
 
     def _on_due(self, now: Instant) -> None:

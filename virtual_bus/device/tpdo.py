@@ -115,11 +115,14 @@ class TransmitPdo(PdoParameters):
         self._event_timer.stop()
 
     def _on_event(self, now: Instant) -> None:
-        if now >= self._free_at:
+        task, free_at = self.station.sending, self._free_at
+        if task is not None:
+            free_at = task.due(max(now, free_at))
+        if now >= free_at:
             self._transmit_event(now)
         else:
             self.turn.event = True
-            self._inhibit_timer.start(self._free_at)
+            self._inhibit_timer.start(free_at)
 
     def _on_inhibit_over(self, now: Instant) -> None:
         if self.turn.event:

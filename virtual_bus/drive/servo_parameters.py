@@ -13,12 +13,14 @@ from servobench.drivers.cia402.profile import AbortConnectionOption
 from servobench.drivers.timebase import NS_PER_US
 from servobench.drivers.vendors.families import Quirk
 from servobench.virtual_bus.device.device_options import (
+    AT_ONCE,
     DeviceIdentity,
     DeviceOptions,
     PdoDefault,
     StampLatch,
     StampOptions,
     SyncOptions,
+    TaskOptions,
     unmapped_rpdos,
     unmapped_tpdos,
 )
@@ -74,6 +76,8 @@ class DriveParameters(FirmwareParameters):
     """The drive acts on a SYNC, and samples, up to so much after its end; drawn evenly for each."""
     sync_phase_us: float | None = None
     """It acts so long behind the SYNC as a phase-locked loop filters it; None: it has no such loop."""
+    tasks: TaskOptions = AT_ONCE
+    """Its tasks for PDOs; by default it acts on each when its frame ends."""
     lacks: tuple[str, ...] = ()
     """Features that it lacks; see :mod:`servobench.virtual_bus.drive.lacks`."""
     makers_units: tuple[tuple[str, Quirk], ...] = ()
@@ -143,6 +147,7 @@ def device_options(node_id: int, drive: DriveParameters, seed: int) -> DeviceOpt
             None if drive.sync_phase_us is None else _ns(drive.sync_phase_us),
             seed,
         ),
+        tasks=drive.tasks,
     )
 
 
