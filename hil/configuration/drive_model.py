@@ -1,5 +1,6 @@
 """Files of simulated drives: their source, ``[supply]``, limits of their power stage, ``[protection]``,
-their ``[inverter]``, ``[current_sensor]``, ``[encoder]``, ``[current_loop]`` and ``[timing]``.
+their ``[inverter]``, ``[current_sensor]``, ``[encoder]``, ``[current_loop]``, ``[timing]`` and
+``[set_point]``.
 
 ``like`` of ``[drive.NAME.simulation]`` names one or a preset, or has its tables.
 """
@@ -28,6 +29,7 @@ from servobench.virtual_bus.drive.power_stage import (
     Supply,
     peak_current_a,
 )
+from servobench.virtual_bus.drive.set_point_path import STRAIGHT, Interpolation, SetPointPath
 
 _TIME_CONSTANT_MIN_S = 1e-5
 """Of resistance and capacitance: a period of 62.5 us is then cut into 63 steps."""
@@ -311,6 +313,20 @@ class TimingTable(Section):
         )
 
 
+class SetPointTable(Section):
+    """``[set_point]``: the way of set-points of csp, ip and csv into the drive's loops."""
+
+    interpolation: Literal["linear", "cubic", "none"] = "linear"
+    """How a position is reached within 60C2h: in a straight line, without corners, or at once."""
+    filter_hz: float | None = Field(default=None, ge=0.1, le=10_000.0)
+    """Corner of a first-order filter of positions and speeds; absent: none."""
+
+    @property
+    def parameters(self) -> SetPointPath:
+        """The path of the simulated drive."""
+        return SetPointPath(Interpolation(self.interpolation), self.filter_hz)
+
+
 class CurrentLoopTable(Section):
     """``[current_loop]``: the period of current loops and inverter."""
 
@@ -330,6 +346,7 @@ class DriveModel(FromPreset):
     current_sensor: CurrentSensorTable | None = Field(default=None, description="the table [current_sensor]")
     current_loop: CurrentLoopTable | None = Field(default=None, description="the table [current_loop]")
     timing: TimingTable | None = Field(default=None, description="the table [timing]")
+    set_point: SetPointTable | None = Field(default=None, description="the table [set_point]")
 
     @property
     def rates(self) -> dict[str, int]:
@@ -354,6 +371,7 @@ class DriveModel(FromPreset):
             "current_sensors": None if self.current_sensor is None else self.current_sensor.parameters,
             "encoder": encoder.parameters,
             "speed": encoder.speed.parameters,
+            "path": STRAIGHT if self.set_point is None else self.set_point.parameters,
             "tasks": AT_ONCE if self.timing is None else self.timing.parameters,
         }
 

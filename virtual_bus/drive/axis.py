@@ -27,6 +27,7 @@ from servobench.virtual_bus.drive.motion_objects import (
     VelocityRamp,
 )
 from servobench.virtual_bus.drive.servo_objects import ServoObjects
+from servobench.virtual_bus.drive.set_point_path import SetPointFilter
 from servobench.virtual_bus.drive.trajectory import MoveLimits
 from servobench.virtual_bus.drive.user_units import UserUnits
 
@@ -83,6 +84,7 @@ class SimulatedAxis:
         self.machine = machine
         self.period_s = firmware.motion_ticks / firmware.parameters.inner_rate_hz
         self.torque_unit_nm = objects.torque_unit_nm
+        self.path = firmware.parameters.path
         self.limited = False
         """A set-point was cut at a limit in the last period (statusword bit 11)."""
         self.guarded = False
@@ -179,6 +181,10 @@ class SimulatedAxis:
     def rests(self) -> bool:
         """Return True if the shaft has come to rest at the end of a ramp."""
         return self.firmware.rested_for_s() >= REST_S
+
+    def set_point_filter(self) -> SetPointFilter:
+        """For the set-points of one mode."""
+        return SetPointFilter(self.path, self.period_s)
 
     # ---- ends of the axis -----------------------------------------------------------------------------
 

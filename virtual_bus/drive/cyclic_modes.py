@@ -6,7 +6,7 @@ CSP   607Ah + 60B0h, interpolated over 60C2h; 60B2h is fed forward, and 60B1h, o
       slope of the interpolation
 CSV   60FFh + 60B1h, reached within 60C2h, no faster than 60C5h and 60C6h; 60B2h is fed forward
 CST   6071h + 60B2h, at once
-IP    60C1h:1, interpolated over 60C2h in a straight line (60C0h = 0), while bit 4 of the controlword is 1
+IP    60C1h:1, interpolated over 60C2h (60C0h = 0), while bit 4 of the controlword is 1
 
 Statusword bit 12 in the first three: the drive follows the command; 0 while the end of the axis bars the way.
 In IP: interpolation is active; 0 too while the way is barred, or a halt is commanded.
@@ -19,6 +19,7 @@ from servobench.virtual_bus.drive.axis import SimulatedAxis, WindowTimer
 from servobench.virtual_bus.drive.firmware import InnerControl
 from servobench.virtual_bus.drive.motion_objects import NO_WINDOW
 from servobench.virtual_bus.drive.operation_mode import HaltedMode, OperationMode
+from servobench.virtual_bus.drive.set_point_path import Interpolation
 
 _LATE: Final = 1.5
 """Interpolation periods after which a set-point without a follower is the end of the motion."""
@@ -60,9 +61,11 @@ class CyclicSynchronousVelocity(_CyclicMode):
         super().__init__(axis)
         self._speed_rad_s = 0.0
         self._end_tick = 0
+        self._filter = axis.set_point_filter()
 
     def begin(self, _controlword: int) -> None:
         self.axis.begin(feeds_torque=True)
+        self._filter.stand(self.axis.speed_rad_s)
         self.take_velocity()
 
     def take_velocity(self) -> None:
@@ -74,7 +77,7 @@ class CyclicSynchronousVelocity(_CyclicMode):
     def run(self) -> None:
         axis = self.axis
         now = axis.speed_rad_s
-        target = axis.cut_speed(self._speed_rad_s)
+        target = axis.cut_speed(self._filter.follow(self._speed_rad_s, 0.0)[0])
         left_s = (self._end_tick - axis.firmware.ticks) * axis.firmware.tick_s
         share = min(axis.period_s / max(left_s, axis.period_s), 1.0)
         change = axis.cut_change(now, share * (target - now))
@@ -82,38 +85,60 @@ class CyclicSynchronousVelocity(_CyclicMode):
 
 
 class _Interpolation:
-    """Straight lines between set-points, each reached one interpolation period after its arrival; without
-    another one the drive stays. Encoder counts, inner ticks."""
+    """Lines between set-points, each reached one interpolation period after its arrival; without another one
+    the drive stays. Encoder counts, inner ticks."""
 
     def __init__(self, axis: SimulatedAxis) -> None:
         self._axis = axis
+        self._kind = axis.path.interpolation
+        self._filter = axis.set_point_filter()
         self.target = 0.0
-        self._start = 0.0
+        self._start = self._start_slope = 0.0
         self._start_tick = 0
         self._ticks = 1
 
     def stand(self, count: float) -> None:
         """Stay at ``count``."""
         self._start = self.target = count
+        self._start_slope = 0.0
+        self._filter.stand(count)
 
     def lead_to(self, position: int) -> None:
         """To a set-point, user position units, from where the line before has come to."""
         axis = self._axis
         ticks = axis.firmware.ticks
-        self._start = self.demand(ticks)
+        self._start, self._start_slope = self._place(ticks), self._rate(ticks)
         self.target = axis.units.nearest_count_of(position, self.target)
         self._start_tick, self._ticks = ticks, axis.interpolation_ticks()
 
-    def demand(self, ticks: int) -> float:
-        """The position at a tick."""
-        share = (ticks - self._start_tick) / self._ticks
-        return self.target if share >= 1.0 else self._start + share * (self.target - self._start)
+    def demand(self, ticks: int) -> tuple[float, float]:
+        """The position at the tick of this period, and counts/s, behind the filter."""
+        return self._filter.follow(self._place(ticks), self._rate(ticks))
 
-    def slope(self, ticks: int) -> float:
-        """Counts/s at a tick; it goes on while the next set-point is a little late."""
-        if ticks - self._start_tick >= _LATE * self._ticks:
+    def _place(self, ticks: int) -> float:
+        share, way = (ticks - self._start_tick) / self._ticks, self.target - self._start
+        if share >= 1.0 or self._kind is Interpolation.NONE:
+            return self.target
+        place = self._start + share * way
+        if self._kind is Interpolation.CUBIC:
+            place += share * (1.0 - share) ** 2 * (self._start_slope * self._time_s - way)
+        return place
+
+    def _rate(self, ticks: int) -> float:
+        """Counts/s; it goes on while the next set-point is a little late."""
+        passed, way = ticks - self._start_tick, self.target - self._start
+        if passed >= _LATE * self._ticks or self._kind is Interpolation.NONE:
             return 0.0
-        return (self.target - self._start) / (self._ticks * self._axis.firmware.tick_s)
+        rate = way / self._time_s
+        if self._kind is Interpolation.CUBIC and passed < self._ticks:
+            share = passed / self._ticks
+            rate += (1.0 - share) * (1.0 - 3.0 * share) * (self._start_slope - rate)
+        return rate
+
+    @property
+    def _time_s(self) -> float:
+        """From one set-point to the next."""
+        return self._ticks * self._axis.firmware.tick_s
 
     def over(self, ticks: int) -> bool:
         """The last line has come to its end."""
@@ -148,19 +173,20 @@ class CyclicSynchronousPosition(_CyclicMode):
         axis = self.axis
         axis.limited = self._cut
         ticks = axis.firmware.ticks
-        axis.follow(self._line.demand(ticks), self._feed(ticks))
+        count, counts_per_s = self._line.demand(ticks)
+        axis.follow(count, self._feed(counts_per_s))
         self._lags = axis.watch_following()
 
     def status_bits(self) -> int:
         return super().status_bits() | (Status.MODE_13 if self._lags else 0)
 
-    def _feed(self, ticks: int) -> float:
-        """Speed that is fed forward, counts/s."""
+    def _feed(self, counts_per_s: float) -> float:
+        """Speed that is fed forward, counts/s: 60B1h, or that of the interpolation."""
         axis = self.axis
         offset = axis.motion.velocity_offset.value
         if offset:
             return float(offset * axis.units.rad_s_per_velocity * axis.firmware.counts_per_rad)
-        return self._line.slope(ticks)
+        return counts_per_s
 
 
 class InterpolatedPosition(HaltedMode):
@@ -205,7 +231,7 @@ class InterpolatedPosition(HaltedMode):
             return
         axis.limited = self._cut
         ticks = axis.firmware.ticks
-        axis.follow(self._line.demand(ticks), self._line.slope(ticks))
+        axis.follow(*self._line.demand(ticks))
         near = self._line.over(ticks) and self._near()
         self._reached = self._window.held(near, axis.period_s, axis.motion.position_ms.value)
         axis.watch_following()

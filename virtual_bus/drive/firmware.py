@@ -42,6 +42,7 @@ from servobench.virtual_bus.drive.power_stage import (
     fill_power_stage,
     peak_current_a,
 )
+from servobench.virtual_bus.drive.set_point_path import STRAIGHT, SetPointPath
 
 _STEP_ANGLE_MAX = 0.25
 """Largest (R/L + electrical speed) * step, rad: keeps the error of a step below 1e-5 of the signal."""
@@ -130,6 +131,8 @@ class FirmwareParameters:
     protection: Protection | None = None
     """None: nothing of the power stage is watched."""
     inverter: Inverter = IDEAL_INVERTER
+    path: SetPointPath = STRAIGHT
+    """The way of cyclic set-points into the loops."""
     current_sensors: CurrentSensors | None = None
     """None: the currents are known as they are."""
 

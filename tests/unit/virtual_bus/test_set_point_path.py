@@ -1,0 +1,98 @@
+"""The way of cyclic set-points into the loops, over the frames of the whole drive: 6062h beside scipy's splines
+and a filter computed apart."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
+from scipy.signal import lfilter
+
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.virtual_bus.drive.set_point_path import Interpolation, SetPointPath
+from tests.unit.virtual_bus.motion_bench import COUNTS, ENABLED, MotionBench
+
+PERIOD_MS = 8
+FloatArray = NDArray[np.float64]
+TARGETS = np.concatenate([np.zeros(2), 0.2 * np.sin(np.arange(25) * 0.4), np.full(4, 0.05)])
+"""Set-points, turns, one each 8 ms; the last ones stand."""
+
+
+def demands(
+    path: SetPointPath, mode: Mode = Mode.CYCLIC_SYNCHRONOUS_POSITION
+) -> tuple[FloatArray, FloatArray]:
+    """6062h in turns after each motion period, and when it was, ms from the first set-point."""
+    bench = MotionBench(mode, DriveParameters(path=path), enabled=False)
+    bench.set(Object.INTERPOLATION_TIME_PERIOD, "B", PERIOD_MS, 1)
+    bench.map_rpdo(2, 0x6040_0010, 0x607A_0020)
+    bench.enable()
+    bench.wait_ms(1.0 - bench.now % 1_000_000 / 1e6)
+    told: list[float] = []
+    for target in TARGETS:
+        bench.send(2, "Hi", ENABLED, round(target * COUNTS))
+        for _ in range(PERIOD_MS):
+            bench.wait_ms(1)
+            told.append(bench.read(Object.POSITION_DEMAND_VALUE, "i") / COUNTS)
+    return np.array(told), np.arange(1.0, len(told) + 1.0)
+
+
+def joined(at_ms: FloatArray, cubic: bool) -> FloatArray:
+    """Each set-point reached 8 ms after it came, from where the one before was."""
+    knots_ms = np.arange(len(TARGETS) + 1) * float(PERIOD_MS)
+    places = np.concatenate([[0.0], np.round(TARGETS * COUNTS) / COUNTS])
+    if not cubic:
+        return np.interp(at_ms, knots_ms, places)
+    slopes = np.concatenate([[0.0], np.diff(places) / PERIOD_MS])
+    return np.asarray(CubicHermiteSpline(knots_ms, places, slopes)(at_ms))
+
+
+@pytest.mark.parametrize("kind", [Interpolation.LINEAR, Interpolation.CUBIC])
+def test_set_points_are_joined_as_the_drive_does_it(kind: Interpolation) -> None:
+    told, at_ms = demands(SetPointPath(kind))
+    assert told == pytest.approx(joined(at_ms, kind is Interpolation.CUBIC), abs=1.01 / COUNTS)
+
+
+def test_a_cubic_has_no_corners() -> None:
+    """Its second difference is below that of the lines, whose slope jumps at each set-point."""
+
+    def jump(kind: Interpolation) -> float:
+        return float(np.abs(np.diff(demands(SetPointPath(kind))[0], 2)).max())
+
+    assert jump(Interpolation.CUBIC) < 0.75 * jump(Interpolation.LINEAR)
+
+
+def test_without_interpolation_a_set_point_is_there_at_once() -> None:
+    told, _ = demands(SetPointPath(Interpolation.NONE))
+    assert told == pytest.approx(np.repeat(np.round(TARGETS * COUNTS) / COUNTS, PERIOD_MS), abs=1.01 / COUNTS)
+
+
+@pytest.mark.parametrize("corner_hz", [5.0, 60.0])
+@pytest.mark.parametrize("kind", list(Interpolation))
+def test_a_filter_follows_as_computed_apart(kind: Interpolation, corner_hz: float) -> None:
+    bare, _ = demands(SetPointPath(kind))
+    told, _ = demands(SetPointPath(kind, corner_hz))
+    gain = 1.0 / (1.0 + 1000.0 / (math.tau * corner_hz))
+    assert told == pytest.approx(lfilter([gain], [1.0, gain - 1.0], bare), abs=1.6 / COUNTS)
+
+
+def speeds_of(path: SetPointPath) -> Sequence[float]:
+    bench = MotionBench(Mode.CYCLIC_SYNCHRONOUS_VELOCITY, DriveParameters(path=path))
+    bench.speed(5.0)
+    told = []
+    for _ in range(80):
+        bench.wait_ms(1)
+        told.append(bench.servo.drive.firmware.inner.speed_demand_rad_s / math.tau)
+    return told
+
+
+def test_a_filter_of_speeds_takes_its_time() -> None:
+    """First order: 63 % after 1 / (2 pi 20 Hz), 8 ms."""
+    told = np.array(speeds_of(SetPointPath(filter_hz=20.0)))
+    gain = 1.0 / (1.0 + 1000.0 / (math.tau * 20.0))
+    expected = 5.0 * (1.0 - (1.0 - gain) ** np.arange(1, 81))
+    assert told[20:] == pytest.approx(expected[20:], abs=0.15)
+    assert told[7] < 0.7 * speeds_of(SetPointPath())[7]
