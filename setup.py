@@ -74,7 +74,7 @@ GROUPS = {
             "virtual_bus/drive",
             "homing_methods machine operation_mode operation_modes power_state",
         ),
-        *_below("virtual_bus/drive", "profile_modes servo simulated_load"),
+        *_below("virtual_bus/drive", "profile_modes servo set_point_path simulated_load"),
         *_below("virtual_bus/drive", "servo_parameters trajectory user_units velocity_mode"),
         *_below("virtual_bus/hosting", "devices"),
     ],

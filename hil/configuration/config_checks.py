@@ -241,6 +241,12 @@ def _simulations(config: BenchConfig) -> Iterator[Fault]:
         if encoder is not None and encoder.speed.bandwidth_rad_s > fastest_rad_s:
             expected = f"at most {fastest_rad_s:g}, a quarter of inner_rate_hz"
             yield f"{key}.like.encoder.speed.bandwidth_rad_s", encoder.speed.bandwidth_rad_s, expected, ""
+        set_point = None if simulation.like is None else simulation.like.set_point
+        if set_point is not None and set_point.notch is not None:
+            frequency_hz, most_hz = set_point.notch.frequency_hz, 0.4 * simulation.inner_rate_hz
+            if frequency_hz >= most_hz:
+                expected = f"below {most_hz:g}, two fifths of inner_rate_hz"
+                yield f"{key}.like.set_point.notch.frequency_hz", frequency_hz, expected, ""
         unit_us, resolution_us = simulation.stamp_unit_us, simulation.stamp_resolution_us
         if resolution_us < unit_us:
             yield f"{key}.stamp_resolution_us", resolution_us, f"at least stamp_unit_us = {unit_us:g}", ""

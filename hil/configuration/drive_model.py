@@ -14,11 +14,11 @@ from pydantic import Field, model_validator
 
 from servobench.design.motor import PmsmParameters
 from servobench.drivers.bounded_file import NamedBy
-from servobench.drivers.timebase import NS_PER_US
 from servobench.hil.configuration.config_files import Section
+from servobench.hil.configuration.drive_timing import SetPointTable, TimingTable
 from servobench.hil.configuration.preset_files import FromPreset, load_file_or_preset
 from servobench.hil.configuration.quantities import Current, Resistance, Voltage
-from servobench.virtual_bus.device.device_options import AT_ONCE, TaskOptions
+from servobench.virtual_bus.device.device_options import AT_ONCE
 from servobench.virtual_bus.drive.encoder import Encoder, SineErrors, SpeedMethod, SpeedSensing
 from servobench.virtual_bus.drive.power_stage import (
     Chopper,
@@ -29,7 +29,7 @@ from servobench.virtual_bus.drive.power_stage import (
     Supply,
     peak_current_a,
 )
-from servobench.virtual_bus.drive.set_point_path import STRAIGHT, Interpolation, SetPointPath
+from servobench.virtual_bus.drive.set_point_path import STRAIGHT
 
 _TIME_CONSTANT_MIN_S = 1e-5
 """Of resistance and capacitance: a period of 62.5 us is then cut into 63 steps."""
@@ -271,60 +271,6 @@ class InverterTable(Section):
         """The inverter of the simulated drive."""
         left = 1.0 - self.compensated_percent / 100.0
         return Inverter(left * self.dead_time_us * 1e-6, self.zero_band_a, self.output_percent / 100.0)
-
-
-TaskPeriod = Annotated[float, Field(ge=10.0, le=20_000.0)]
-TaskPhase = Annotated[float, Field(ge=0.0, le=20_000.0)]
-
-
-class TimingTable(Section):
-    """``[timing]``: tasks of the firmware that take PDOs in and send them, counted from power-on."""
-
-    rpdo_task_us: TaskPeriod | None = None
-    """A command is taken in at the next tick of so long a period; absent: when its frame ends."""
-    rpdo_phase_us: TaskPhase = 0.0
-    """The first tick, after power-on."""
-    dead_time_us: float = Field(default=0.0, ge=0.0, le=10_000.0)
-    """From that tick until the command acts."""
-    tpdo_task_us: TaskPeriod | None = None
-    """A SYNC is acted on, and a TPDO sampled and sent, at the next tick of this one; absent: at once."""
-    tpdo_phase_us: TaskPhase = 0.0
-    locked_to_sync: bool = False
-    """Ticks count from the last SYNC that was acted on, once there was one."""
-
-    @model_validator(mode="after")
-    def _check_phases(self) -> Self:
-        for task in ("rpdo", "tpdo"):
-            phase_us, period_us = getattr(self, f"{task}_phase_us"), getattr(self, f"{task}_task_us")
-            if phase_us and (period_us is None or phase_us >= period_us):
-                raise ValueError(f"{task}_phase_us below {task}_task_us")
-        return self
-
-    @property
-    def parameters(self) -> TaskOptions:
-        """The tasks of the simulated drive."""
-        return TaskOptions(
-            rpdo_ns=round((self.rpdo_task_us or 0.0) * NS_PER_US),
-            rpdo_phase_ns=round(self.rpdo_phase_us * NS_PER_US),
-            dead_ns=round(self.dead_time_us * NS_PER_US),
-            tpdo_ns=round((self.tpdo_task_us or 0.0) * NS_PER_US),
-            tpdo_phase_ns=round(self.tpdo_phase_us * NS_PER_US),
-            locked=self.locked_to_sync,
-        )
-
-
-class SetPointTable(Section):
-    """``[set_point]``: the way of set-points of csp, ip and csv into the drive's loops."""
-
-    interpolation: Literal["linear", "cubic", "none"] = "linear"
-    """How a position is reached within 60C2h: in a straight line, without corners, or at once."""
-    filter_hz: float | None = Field(default=None, ge=0.1, le=10_000.0)
-    """Corner of a first-order filter of positions and speeds; absent: none."""
-
-    @property
-    def parameters(self) -> SetPointPath:
-        """The path of the simulated drive."""
-        return SetPointPath(Interpolation(self.interpolation), self.filter_hz)
 
 
 class CurrentLoopTable(Section):

@@ -328,6 +328,7 @@ class Certificates:
         if self._config.quantity(axis) is Quantity.POSITION:
             yield f"reference.{axis}: positions, expected speeds, without a loop of the position around"
         yield from self._flexible(axis)
+        yield from self._shaped(axis)
         yield from self._sensed(axis)
         if self._config.simulated:
             for name in ("resistance_factor", "inductance_factor"):
@@ -355,6 +356,16 @@ class Certificates:
         if mechanism.coupling is not None:
             found_hz = mechanism.coupling.resonance_hz
             yield f"{key}.coupling: resonance at {found_hz:.3g} Hz, expected a rigid shaft"
+
+    def _shaped(self, axis: str) -> Iterator[str]:
+        """A torque that the drive filters, where every model has its current loop alone."""
+        like = self._config.drive[axis].simulation.like if self._config.simulated else None
+        path = None if like is None or like.set_point is None else like.set_point
+        if path is not None and (path.torque_filter_hz is not None or path.notch is not None):
+            parts = [] if path.torque_filter_hz is None else [f"filter of {path.torque_filter_hz:g} Hz"]
+            parts += [] if path.notch is None else [f"notch at {path.notch.frequency_hz:g} Hz"]
+            key = f"drive.{axis}.simulation.like.set_point"
+            yield f"{key}: {', '.join(parts)}, expected a torque that is made as it is asked for"
 
     def _sensed(self, axis: str) -> Iterator[str]:
         """A speed that is made otherwise than the controller's model has it."""

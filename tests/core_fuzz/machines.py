@@ -17,6 +17,7 @@ from servobench.design.mechanism import (
 from servobench.design.motor import PmsmParameters
 from servobench.virtual_bus.drive.encoder import Encoder, SineErrors
 from servobench.virtual_bus.drive.power_stage import CurrentSensors
+from servobench.virtual_bus.drive.set_point_path import Notch, SetPointPath
 
 
 def drawn_encoder(draw: random.Random, rate_hz: int) -> Encoder:
@@ -83,4 +84,11 @@ def _switches(draw: random.Random) -> Switches:
         draw.choice([0.0, 0.01]),
         draw.randrange(1, 9),
         draw.choice([0.0, 0.002, 0.1]),
+    )
+
+
+def drawn_path(draw: random.Random, rate_hz: int) -> SetPointPath:
+    notch = Notch(rate_hz * draw.uniform(1e-4, 0.39), draw.random(), draw.uniform(0.01, 4.0))
+    return SetPointPath(
+        torque_filter_hz=draw.choice([None, 10.0 ** draw.uniform(0.0, 4.0)]), notch=draw.choice([None, notch])
     )

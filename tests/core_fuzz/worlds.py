@@ -62,7 +62,7 @@ from servobench.virtual_bus.frame import Frame
 from tests.core_fuzz.devices import devices
 from tests.core_fuzz.fates import ODD, Refused, drawn_judge, odd_number
 from tests.core_fuzz.links import links
-from tests.core_fuzz.machines import drawn_encoder, drawn_mechanism, drawn_sensors
+from tests.core_fuzz.machines import drawn_encoder, drawn_mechanism, drawn_path, drawn_sensors
 from tests.core_fuzz.pdos import pdos
 from tests.core_fuzz.receptions import receptions
 from tests.core_fuzz.streams import streams
@@ -121,6 +121,7 @@ def drive(draw: random.Random) -> None:
         encoder_counts_per_revolution=draw.choice([16, 1000, 65_536, 1 << 30]),
         controller_q=_controller(draw, rate_hz) if draw.random() < 0.3 else None,
         encoder=drawn_encoder(draw, rate_hz) if draw.random() < 0.5 else None,
+        path=drawn_path(draw, rate_hz),
         inverter=Inverter(draw.choice([0.0, 0.5 / rate_hz]), draw.choice([0.0, 1.0]), draw.uniform(0.1, 1.0)),
         current_sensors=drawn_sensors(draw) if draw.random() < 0.5 else None,
         speed=SpeedSensing(

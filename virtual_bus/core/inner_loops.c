@@ -250,8 +250,10 @@ static void current_loops(InnerLoops *self, double i_q_wanted)
     state->next.voltage_q_v = out_q;
 }
 
-static void switch_off(LoopState *state)
+static void switch_off(InnerLoops *self)
 {
+    LoopState *state = &self->state;
+    self->shaped = (TorquePathState){0};
     state->now.on = state->next.on = 0.0;
     state->next.voltage_d_v = state->next.voltage_q_v = state->integral_d = state->integral_q = 0.0;
     state->torque_demand_nm = state->rest_ticks = 0.0;
@@ -282,7 +284,7 @@ static void run_firmware(InnerLoops *self)
     double angle = sample(self);
     state->limited = 0.0;
     if (!may_be_on(self)) {
-        switch_off(state);
+        switch_off(self);
         if (fabs(state->speed_measured_rad_s) < self->loop.rest_speed_rad_s)
             state->braked = 1.0;
     } else {
@@ -291,6 +293,8 @@ static void run_firmware(InnerLoops *self)
         if (demand->control == CONTROL_TORQUE && torque != demand->torque_nm)
             state->limited = 1.0;
         state->torque_demand_nm = torque;
+        if (self->path.active)
+            torque = shaped_torque(&self->shaped, &self->path, torque);
         current_loops(self, torque * self->motor.per_torque_constant);
         state->next.on = 1.0;
         state->next.angle_rad =

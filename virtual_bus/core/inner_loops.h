@@ -14,6 +14,7 @@
 #include "phases.h"
 #include "protection.h"
 #include "switches.h"
+#include "torque_path.h"
 
 enum { CONTROLLER_ORDER_MAX = 8 };
 /* Inner periods: the loads of the next 16 ms are looked up at once. */
@@ -76,6 +77,8 @@ typedef struct TableLoad {
 typedef struct InnerLoops {
     MotorParameters motor;
     LoopParameters loop;
+    TorquePath path;
+    TorquePathState shaped;
     Resolution resolution; /* of the encoder */
     Encoder encoder;
     EncoderState sensed;

@@ -98,6 +98,17 @@ class InnerLoops:
     stop_yield_s: float
     """Damping over stiffness."""
 
+    # ---- between torque demand and current loops: parameters ----
+    torque_path: int
+    """0: the demand is made as it is."""
+    low_gain: float
+    """1: no low pass."""
+    notch_b0: float
+    notch_b1: float
+    notch_b2: float
+    notch_a1: float
+    notch_a2: float
+
     # ---- switches: parameters ----
     switches: int
     """0: nobody watches them."""

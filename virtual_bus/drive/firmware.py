@@ -42,7 +42,7 @@ from servobench.virtual_bus.drive.power_stage import (
     fill_power_stage,
     peak_current_a,
 )
-from servobench.virtual_bus.drive.set_point_path import STRAIGHT, SetPointPath
+from servobench.virtual_bus.drive.set_point_path import STRAIGHT, SetPointPath, check_path, fill_path
 
 _STEP_ANGLE_MAX = 0.25
 """Largest (R/L + electrical speed) * step, rad: keeps the error of a step below 1e-5 of the signal."""
@@ -153,6 +153,7 @@ class FirmwareParameters:
             expected = f"at most half an inner period, {5e5 / self.inner_rate_hz:g} us, expected"
             raise ValueError(f"dead time {self.inverter.dead_time_s * 1e6:g} us: {expected}")
         check_encoder(self.inner_rate_hz, self.encoder, self.speed)
+        check_path(self.inner_rate_hz, self.path)
 
     @property
     def current_hz(self) -> float:
@@ -186,6 +187,7 @@ class Firmware:
             parameters.inverter,
             parameters.current_sensors,
         )
+        fill_path(self.inner, parameters.path, self.tick_s)
         fill_controllers(self.inner, parameters.controller_d, parameters.controller_q)
         self._set_gains()
         self._set_limits()

@@ -29,6 +29,7 @@ from servobench.design.mechanism import Mechanism, PlacedLoad, Switches
 from servobench.virtual_bus.drive.encoder import Encoder, SineErrors, SpeedMethod, SpeedSensing
 from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
 from servobench.virtual_bus.drive.power_stage import CurrentSensors, Inverter
+from servobench.virtual_bus.drive.set_point_path import Notch, SetPointPath
 
 rigid = replace(AZAIZ, coulomb_friction_nm=0.1)
 real = Mechanism(
@@ -42,6 +43,7 @@ seen = FirmwareParameters(
     encoder=Encoder(512, SineErrors(0.02, -0.01, 0.01, 0.02), 1e-3, 0.5, 2e-5),
     speed=SpeedSensing(SpeedMethod.EDGES, 900.0, 1e8),
     inverter=Inverter(1e-6, 0.1, 0.9),
+    path=SetPointPath(torque_filter_hz=900.0, notch=Notch(300.0)),
     current_sensors=CurrentSensors(20.0, 12, 0.01, -0.01, 0.1, 0.05, 0.02),
 )
 followed = replace(seen, speed=SpeedSensing(SpeedMethod.OBSERVER, None))

@@ -1,19 +1,24 @@
-"""The way of cyclic set-points into the loops, over the frames of the whole drive: 6062h beside scipy's splines
-and a filter computed apart."""
+"""Set-points on their way into the loops: 6062h of the whole drive beside scipy's splines and a filter
+computed apart; the torque's filters beside scipy's."""
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
-from scipy.signal import lfilter
+from scipy.signal import bilinear, lfilter
 
+from servobench.design.statespace import StateSpace
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
 from servobench.virtual_bus.drive.servo_parameters import DriveParameters
-from servobench.virtual_bus.drive.set_point_path import Interpolation, SetPointPath
+from servobench.virtual_bus.drive.set_point_path import Interpolation, Notch, SetPointPath
+from tests.motors import LING
 from tests.unit.virtual_bus.motion_bench import COUNTS, ENABLED, MotionBench
 
 PERIOD_MS = 8
@@ -45,7 +50,7 @@ def joined(at_ms: FloatArray, cubic: bool) -> FloatArray:
     knots_ms = np.arange(len(TARGETS) + 1) * float(PERIOD_MS)
     places = np.concatenate([[0.0], np.round(TARGETS * COUNTS) / COUNTS])
     if not cubic:
-        return np.interp(at_ms, knots_ms, places)
+        return np.asarray(np.interp(at_ms, knots_ms, places))
     slopes = np.concatenate([[0.0], np.diff(places) / PERIOD_MS])
     return np.asarray(CubicHermiteSpline(knots_ms, places, slopes)(at_ms))
 
@@ -96,3 +101,65 @@ def test_a_filter_of_speeds_takes_its_time() -> None:
     expected = 5.0 * (1.0 - (1.0 - gain) ** np.arange(1, 81))
     assert told[20:] == pytest.approx(expected[20:], abs=0.15)
     assert told[7] < 0.7 * speeds_of(SetPointPath())[7]
+
+
+# ---- torque ------------------------------------------------------------------------------------------------
+
+RATE_HZ = 16_000
+
+
+def currents(path: SetPointPath, demands_nm: FloatArray) -> FloatArray:
+    """What the current loops are asked for, N m, at each tick: by a controller that passes its error on."""
+    passes = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.eye(1), 1.0 / RATE_HZ)
+    free = replace(
+        LING, viscous_friction_nm_s=0.0, flux_linkage_wb=1e-3, inductance_q_h=1.0, inductance_d_h=1.0
+    )
+    firmware = Firmware(free, FirmwareParameters(path=path, controller_q=passes, brake_torque_nm=0.0))
+    firmware.start(Instant(0))
+    firmware.control(InnerControl.TORQUE)
+    inner, asked = firmware.inner, []
+    for tick, demand_nm in enumerate(demands_nm):
+        firmware.demand_torque(float(demand_nm))
+        firmware.advance_to(Instant(math.ceil((tick + 1) * NS_PER_S / RATE_HZ)))
+        speed = free.pole_pairs * inner.speed_measured_rad_s
+        emf_v = speed * (free.flux_linkage_wb + free.inductance_d_h * inner.current_d_measured_a)
+        asked.append(
+            (inner.next_voltage_q_v - emf_v + inner.current_q_measured_a) * free.torque_constant_nm_a
+        )
+    return np.array(asked)
+
+
+@pytest.mark.parametrize("corner_hz", [None, 300.0])
+@pytest.mark.parametrize("notch", [None, Notch(134.0, 0.05, 1.0), Notch(900.0, 0.0, 0.3)])
+def test_the_torques_filters_are_scipys(notch: Notch | None, corner_hz: float | None) -> None:
+    """A low pass by Euler's backward rule, and the bilinear transform of the notch at its own frequency."""
+    demands_nm = np.random.default_rng(43).uniform(-1.0, 1.0, 300) * 1e-3
+    found = currents(SetPointPath(torque_filter_hz=corner_hz, notch=notch), demands_nm)
+    expected = demands_nm
+    if corner_hz is not None:
+        gain = 1.0 / (1.0 + RATE_HZ / (math.tau * corner_hz))
+        expected = lfilter([gain], [1.0, gain - 1.0], expected)
+    if notch is not None:
+        w = 2.0 * RATE_HZ * math.tan(math.pi * notch.frequency_hz / RATE_HZ)
+        wide = notch.width * w
+        expected = lfilter(*bilinear([1.0, notch.depth * wide, w * w], [1.0, wide, w * w], RATE_HZ), expected)
+    assert found == pytest.approx(np.asarray(expected), abs=1e-9)
+
+
+def test_the_filters_of_the_torque_begin_anew_when_the_drive_is_switched_on() -> None:
+    firmware = Firmware(LING, FirmwareParameters(path=SetPointPath(torque_filter_hz=5.0)))
+    firmware.start(Instant(0))
+    firmware.control(InnerControl.TORQUE)
+    firmware.demand_torque(2.0)
+    firmware.advance_to(Instant(NS_PER_S // 4))
+    assert firmware.inner.torque_measured_nm > 1.5
+    firmware.control(InnerControl.OFF)
+    firmware.advance_to(Instant(NS_PER_S // 4 + NS_PER_MS))
+    firmware.control(InnerControl.TORQUE)
+    firmware.advance_to(Instant(NS_PER_S // 4 + 2 * NS_PER_MS))
+    assert abs(firmware.inner.torque_measured_nm) < 0.1
+
+
+def test_a_notch_beyond_the_inner_loop_is_refused() -> None:
+    with pytest.raises(ValueError, match="notch at 5000 Hz: below two fifths of the inner rate, 3200 Hz"):
+        FirmwareParameters(inner_rate_hz=8_000, path=SetPointPath(notch=Notch(5_000.0)))
