@@ -78,3 +78,9 @@ class SetPointTable(Section):
         notch = None if self.notch is None else self.notch.notch
         kind = Interpolation(self.interpolation)
         return SetPointPath(kind, self.filter_hz, self.torque_filter_hz, notch)
+
+    @property
+    def torque_parts(self) -> list[str]:
+        """Filters that the torque demand passes, in words."""
+        parts = [] if self.torque_filter_hz is None else [f"filter of {self.torque_filter_hz:g} Hz"]
+        return parts + ([] if self.notch is None else [f"notch at {self.notch.frequency_hz:g} Hz"])

@@ -360,10 +360,7 @@ class Certificates:
     def _shaped(self, axis: str) -> Iterator[str]:
         """A torque that the drive filters, where every model has its current loop alone."""
         like = self._config.drive[axis].simulation.like if self._config.simulated else None
-        path = None if like is None or like.set_point is None else like.set_point
-        if path is not None and (path.torque_filter_hz is not None or path.notch is not None):
-            parts = [] if path.torque_filter_hz is None else [f"filter of {path.torque_filter_hz:g} Hz"]
-            parts += [] if path.notch is None else [f"notch at {path.notch.frequency_hz:g} Hz"]
+        if like is not None and like.set_point is not None and (parts := like.set_point.torque_parts):
             key = f"drive.{axis}.simulation.like.set_point"
             yield f"{key}: {', '.join(parts)}, expected a torque that is made as it is asked for"
 
