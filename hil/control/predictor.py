@@ -174,16 +174,16 @@ class LoadCancelling(Controller):
         return TorqueSetPoint(
             aim_nm
             + self._torque_gain * (aim_nm - estimate.torque_nm)
-            + self._speed_gain * (speed + self._towards(context, at) - estimate.velocity_rad_s)
+            + self._speed_gain * (self._held(context, at, speed) - estimate.velocity_rad_s)
         )
 
     def _speed(self, context: Context, at: Instant) -> float:
         """Return the speed that is asked for at an instant, rad/s."""
         return context.reference_at(at)
 
-    def _towards(self, context: Context, at: Instant) -> float:  # noqa: ARG002
-        """Return the speed in addition, by which a position's error is made good, rad/s."""
-        return 0.0
+    def _held(self, context: Context, at: Instant, speed: float) -> float:  # noqa: ARG002
+        """Return the speed that is fed back against where ``speed`` is asked for, rad/s."""
+        return speed
 
     def telemetry(self) -> list[float]:
         return [self._predictor.load_nm, self._predictor.innovation_rad_s]
@@ -210,11 +210,12 @@ class PositionTracking(LoadCancelling):
     def _speed(self, context: Context, at: Instant) -> float:
         return context.reference_rate_at(at)
 
-    def _towards(self, context: Context, at: Instant) -> float:
+    def _held(self, context: Context, at: Instant, speed: float) -> float:
         estimate = context.estimate
         if estimate.sequence == 0:
-            return 0.0
+            return speed
         error_rad = context.reference_at(at) - estimate.position_rad
         braking = math.sqrt(2.0 * self._approach_rad_s2 * abs(error_rad))
-        speed = min(self._position_gain * abs(error_rad), braking, self._approach_rad_s)
-        return math.copysign(speed, error_rad)
+        towards = math.copysign(min(self._position_gain * abs(error_rad), braking), error_rad)
+        most = max(self._approach_rad_s, abs(speed))
+        return max(-most, min(most, speed + towards))

@@ -27,6 +27,10 @@ LAYOUTS = {"cst": ("<ii", 1), "csp": ("<Hhi", 2), "csv": ("<Hhi", 2)}
 """606Ch and 6064h, or 6041h, 6077h and 6064h."""
 SPEED_LOOP_RAD_S = 0.177742 / LING2012.parameters.inertia_kg_m2
 """Of the fused controller's file; the predictor's is faster."""
+SYNC_S = 48e-6
+"""44 bits and 4 stuff bits at 1 Mbit/s: a log tells of its beginning, and a drive samples at its end."""
+TICK_S = 62.5e-6
+"""Of the simulated drive."""
 ARRIVED_S = 0.3
 """From a step or a load until the shaft is where it is asked to be."""
 LOADED_RAD = 0.1
@@ -87,7 +91,7 @@ def sampled(run: Run) -> tuple[np.ndarray, np.ndarray]:
     frames: dict[str, list[tuple[float, bytes]]] = {"080": [], "181": []}
     for at, cob_id, data in re.findall(r"\(([\d.]+)\) \S+ (080|181)#(\w*)", candump_text(run.folder)):
         frames[cob_id].append((float(at) - 1e9, bytes.fromhex(data)))
-    syncs = np.array([at for at, _ in frames["080"]])
+    syncs = np.array([at for at, _ in frames["080"]]) + SYNC_S
     told = [(at, unpack(layout, data)[place] * COUNT_RAD) for at, data in frames["181"] if len(data) == 8]
     at, position = np.array(told).T
     return syncs[np.searchsorted(syncs, at) - 1], position
@@ -166,6 +170,22 @@ def test_a_step_from_afar_is_approached_within_the_limit_of_speed_and_braked_in_
     speed = np.diff(position) / np.diff(at)
     assert speed.max() == pytest.approx(0.8 * 1500.0 * math.tau / 60.0, rel=0.05)
     assert errors(run, motion, 1.5, 2.0)[1].max() < 1e-3
+
+
+def test_what_was_missed_is_caught_up_with_within_the_limit_of_speed(servo_bench: BenchRunner) -> None:
+    """A ramp of 1000 r/min begins two turns away from the shaft."""
+    rate = 1000.0 * math.tau / 60.0
+    motion = [
+        {"kind": "step", "at_s": 0.1, "position_rad": 4.0 * math.pi},
+        {"kind": "ramp", "at_s": 0.101, "position_rad": 4.0 * math.pi + rate, "over_s": 1.0},
+    ]
+    run = servo_bench(CST, changes(CST, motion))
+    assert run.summary.verdict.completed, run.summary.verdict.reason
+    at, position = sampled(run)
+    assert (np.diff(position) / np.diff(at)).max() < 0.85 * 1500.0 * math.tau / 60.0
+    told = errors(run, motion, 0.9, 1.1)[1]
+    assert np.median(told) < 1e-3
+    assert told.max() < TICK_S * rate + 1e-3, "a drive tells the count of its last tick"
 
 
 def test_a_cam_goes_on_from_where_it_has_come_to(servo_bench: BenchRunner, tmp_path: Path) -> None:
