@@ -7,6 +7,7 @@ V_i(d) = |T_i d| at node i, d the departure from rest, with
 so that from d at node i no error ever exceeds V_i(d) (multiple quadratic functions).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -40,6 +41,16 @@ class NormedEdge(NamedTuple):
     """(N, k, k): each variant."""
     rows: Array
     """(R, k)."""
+    firsts: Array
+    """(N, k, k): what d passes first, in one of these variants or their hull."""
+    between: Array
+    """(N, B, k) for each of these: between its instants an error is larger by at most the sum of |b d|."""
+    unsure: Array | None = None
+    """(k, k): M may differ by X times the first, |X| at most this, entry by entry; None: not at all."""
+    rows_unsure: Array | None = None
+    """(W, k): the same of rows."""
+    room: float = 0.0
+    """Share by which the norms fall, for that."""
 
 
 class Norms:
@@ -95,8 +106,10 @@ def falling_norms(
         NormedEdge(
             edge.source,
             edge.target,
-            coordinates[edge.target] @ edge.M @ inverses[edge.source],
+            (1.0 + edge.room) * coordinates[edge.target] @ edge.M @ inverses[edge.source],
             edge.rows @ inverses[edge.source],
+            edge.firsts,
+            edge.between,
         )
         for edge in edges
     ]
@@ -113,8 +126,23 @@ def falling_norms(
         T = np.array([cholesky(each) for each in P])
     except np.linalg.LinAlgError:
         return None
-    sizes = [np.linalg.norm(np.linalg.solve(T[edge.source].T, edge.rows.T), axis=0) for edge in turned]
-    return FallingNorms(float(np.max(np.concatenate(sizes))) * T @ coordinates)
+    own = T @ coordinates
+    within = [_largest_error(edge, own) for edge in edges]
+    return FallingNorms(max(within) * own) if np.isfinite(within).all() else None
+
+
+def _largest_error(edge: NormedEdge, T: Array) -> float:
+    """Return the largest error along ``edge`` from a d of size 1; inf where what is unsure of M may enlarge a
+    norm."""
+    inverse = np.linalg.inv(T[edge.source])
+    between = np.linalg.norm(edge.between @ inverse, axis=2).sum(axis=1).max()
+    largest = float(np.linalg.norm(edge.rows @ inverse, axis=1).max() + between)
+    if edge.unsure is None or edge.rows_unsure is None:
+        return largest
+    passed = np.abs(edge.firsts @ inverse).max(axis=0)
+    if 1.0 / (1.0 + edge.room) + np.linalg.norm(np.abs(T[edge.target]) @ edge.unsure @ passed, 2) > 1.0:
+        return math.inf
+    return largest + float(np.linalg.norm(edge.rows_unsure @ passed, axis=1).max())
 
 
 def _problem(edges: Sequence[NormedEdge], nodes: int, at: NDArray[np.intp], starts: Array) -> LmiProblem:

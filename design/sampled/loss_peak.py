@@ -1,23 +1,35 @@
-"""The largest error after a load step over every sequence of lost readings and commands.
+"""The largest error after a load step over every sequence of lost readings and commands, and every inertia
+of a range.
 
 A node is what the controller remembers, and how many readings and commands in a row have just been lost, at
 most so many of each; an edge is a period. The walks are searched best first
-(:mod:`servobench.design.sampled.peak_tree`).
+(:mod:`servobench.design.sampled.peak_tree`), those of a part of the range at once.
 """
 
-from collections.abc import Hashable, Iterator
+import itertools
+from collections.abc import Callable, Hashable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from servobench.design.sampled.falling_norms import NormedEdge, Norms
+from servobench.design.errors import NoSolution
+from servobench.design.sampled.falling_norms import Norms
 from servobench.design.sampled.jump_loop import Remembering
 from servobench.design.sampled.peak_steps import PeakBound
 from servobench.design.sampled.peak_tree import Leaves, bounded_peak, joined
 from servobench.design.sampled.random_losses import Outcome
-from servobench.design.sampled.stepped_load import NormedWalks, PeriodMaps, SteppedLoad
+from servobench.design.sampled.stepped_load import LoadedPeriod, NormedWalks, Shafts, SteppedLoad
 
 _CLOSENESS, _LEAVES_MAX = 3e-3, 300_000
+_LEAVES_OF_PART = 150_000
+"""The same for each part of a range of inertias."""
+_WIDEST = 1.2
+"""Largest inertia over the smallest of a part of a range that is tried first."""
+_NARROWEST = 1.01
+"""The same of a part that is not halved again where there are no norms for all of it."""
+
+Peak = Callable[[Shafts, tuple[float, float]], PeakBound]
+"""The bound over some inertias; an error known to be reached, and a bound of those passed elsewhere."""
 
 
 class Move(NamedTuple):
@@ -30,18 +42,53 @@ class Move(NamedTuple):
     outcome: Outcome
 
 
-def losses_peak(controller: Remembering, readings_max: int, commands_max: int) -> PeakBound:
+def losses_peak(
+    controller: Remembering, readings_max: int, commands_max: int, inertias: tuple[float, float] = (1.0, 1.0)
+) -> PeakBound:
     """Return the largest error after a load step of 1 N m, rad/s, certified and reached, with at most so many
-    readings and commands lost in a row. Raises NoSolution."""
+    readings and commands lost in a row.
+
+    ``inertias``: smallest and largest, as multiples of the model's. Raises NoSolution.
+    """
     moves = list(walked(controller, readings_max, commands_max))
     nodes = 1 + max(move.target for move in moves)
     usual = controller.chain(controller.quiet, Outcome(reading=False, command=False))
-    step = SteppedLoad(controller.loop, controller.period_s, usual)
-    edges = [(move, step.maps(controller.chain(move.memory, move.outcome))) for move in moves]
-    normed = [NormedEdge(move.source, move.target, maps.M[None], maps.looks) for move, maps in edges]
-    norms = Norms(normed, nodes, step.starts)
-    first = joined([step.begun(node, norms.first, np.zeros((1, 0))) for node in range(nodes)])
-    return bounded_peak(_Walks(edges, norms, step), first, step.known, _CLOSENESS, _LEAVES_MAX)
+
+    def peak(shafts: Shafts, known: tuple[float, float]) -> PeakBound:
+        step = SteppedLoad(controller.loop, controller.period_s, usual, shafts)
+        edges = [(move, step.maps(controller.chain(move.memory, move.outcome))) for move in moves]
+        normed = [step.edge(move.source, move.target, period, period.first[None]) for move, period in edges]
+        norms = Norms(normed, nodes, step.starts[:, 0])
+        first = joined([step.begun(node, norms.first, np.zeros((1, 0))) for node in range(nodes)])
+        both = max(known[0], step.known[0]), max(known[1], step.known[1])
+        leaves_max = _LEAVES_OF_PART if shafts.half else _LEAVES_MAX
+        return bounded_peak(_Walks(edges, norms, step), first, both, _CLOSENESS, leaves_max)
+
+    return over_inertias(peak, inertias)
+
+
+def over_inertias(peak: Peak, inertias: tuple[float, float]) -> PeakBound:
+    """Return the bound over a range of inertias, part by part, the light ones first: their errors are
+    largest. Raises NoSolution."""
+    small, large = inertias
+    if small == large:
+        return peak(Shafts(1.0 / small), (0.0, 0.0))
+    count = int(np.ceil(np.log(large / small) / np.log(_WIDEST)))
+    ends = np.geomspace(1.0 / large, 1.0 / small, count + 1)
+    parts = list(itertools.pairwise(ends))
+    certified = reached = 0.0
+    while parts:
+        low, high = parts.pop()
+        try:
+            bound = peak(Shafts(0.5 * (low + high), 0.5 * (high - low)), (reached, 0.0))
+        except NoSolution:
+            if high / low < _NARROWEST:
+                raise
+            between = (low * high) ** 0.5
+            parts += [(low, between), (between, high)]
+            continue
+        certified, reached = max(certified, bound.certified), max(reached, bound.reached)
+    return PeakBound(certified, reached)
 
 
 def walked(controller: Remembering, readings_max: int, commands_max: int) -> Iterator[Move]:
@@ -63,19 +110,22 @@ def walked(controller: Remembering, readings_max: int, commands_max: int) -> Ite
 class _Walks(NormedWalks):
     """The periods of a graph, for the search."""
 
-    def __init__(self, edges: list[tuple[Move, PeriodMaps]], norms: Norms, step: SteppedLoad) -> None:
+    def __init__(self, edges: list[tuple[Move, LoadedPeriod]], norms: Norms, step: SteppedLoad) -> None:
         super().__init__(norms, step)
         self._edges = edges
 
     def stepped(self, leaves: Leaves) -> tuple[Leaves, float, float]:
         came, reached, bound = [], 0.0, 0.0
-        for move, (M, looks, inputs) in self._edges:
+        for move, period in self._edges:
             own = leaves.part(np.flatnonzero(leaves.node == move.source))
             if not len(own.d):
                 continue
-            errors, between = self._step.errors(own.d, own.d @ looks.T, own.d @ inputs.T)
-            reached = max(reached, float(errors.max()))
-            bound = max(bound, float((errors + between + own.radius).max()))
+            d = self._step.apart(own.d)
+            z = d @ period.first.T
+            least, most, between = self._step.errors(z, d, period, np.zeros_like(z[:, 0]))
+            reached = max(reached, float((least - own.radius).max()))
+            bound = max(bound, float((most + between + own.radius).max()))
             targets = np.full(len(own.d), move.target)
-            came.append(own._replace(node=targets, d=own.d @ M.T))
+            later, wider = self.moved(z, period, move.target)
+            came.append(own._replace(node=targets, d=later, radius=own.radius + wider))
         return joined(came), reached, bound

@@ -1,36 +1,60 @@
 """A load step of 1 N m on a sampled loop: its begin, its rest, and the error within a period.
 
-There is one state at rest under the load, whatever is lost; d is the departure from it. The load comes within
-the period before the first sample.
+There is one state at rest under the load, whatever is lost and whatever the inertia; d is the departure from
+it. The load comes within the period before the first sample. The inertia is one of a range: d is a polynomial
+in u, -1 <= u <= 1, its inverse being (middle + u half) times that of the model.
 """
 
+import copy
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from servobench.design.delay.delay_loop import Array
+from servobench.design.delay.speed_loop import SpeedModel
 from servobench.design.errors import NoSolution
-from servobench.design.sampled.falling_norms import FallingNorms, Norms
-from servobench.design.sampled.held_loop import HeldInput, Operation
+from servobench.design.sampled.falling_norms import FallingNorms, NormedEdge, Norms
+from servobench.design.sampled.held_loop import HeldInput, Jump, Operation
 from servobench.design.sampled.loaded_periods import LoadedPeriods
 from servobench.design.sampled.peak_steps import error_curvature, start_curvature
 from servobench.design.sampled.peak_tree import Leaves
+from servobench.design.sampled.taylor_map import TaylorMap, constant, control_points, exponential, products
 
 _WITHIN = 128
-"""Instants of a period at which the error is evaluated."""
+"""Instants of a period at which the error is evaluated, some more where commands begin to act."""
 _START_PARTS = 64
 """Parts of the period in which the load may come."""
 _ALIKE = 1e-6
 """Relative: how well the state at rest has to stay in every step."""
+_ORDER = 2
+"""Of the polynomials, where the inertia is not one alone."""
+_ROOM = 2e-3
+"""Share by which norms then fall, for what the polynomials leave out."""
+_SPEED = 1
+"""Place of the speed, or of its error, in the state: the inertia is in its row alone."""
 
 
-class PeriodMaps(NamedTuple):
-    """A period, on d."""
+class Shafts(NamedTuple):
+    """Inverse inertias from middle - half to middle + half, as multiples of the model's."""
 
-    M: Array
+    middle: float = 1.0
+    half: float = 0.0
+
+
+AS_DESIGNED = Shafts()
+
+
+class LoadedPeriod(NamedTuple):
+    """A period, on d after its first jump."""
+
+    first: Array
+    """(k, k): that jump."""
+    M: TaylorMap
     """(k, k)."""
-    looks: Array
+    looks: TaylorMap
     """(W, k): errors within it."""
     inputs: Array
     """(2, k): what acts on the plant at its begin and at its end."""
@@ -39,59 +63,162 @@ class PeriodMaps(NamedTuple):
 class SteppedLoad:
     """The step on ``loop``, whose period without losses is ``usual``."""
 
-    def __init__(self, loop: HeldInput, period_s: float, usual: Sequence[Operation]) -> None:
-        self._loop = loop
-        self._loaded = LoadedPeriods(loop, period_s, _WITHIN)
-        whole, looks = self._loaded.period(usual)
-        size, model, n = len(whole) - 1, loop.model, len(loop.model.A)
+    def __init__(
+        self, loop: HeldInput, period_s: float, usual: Sequence[Operation], shafts: Shafts = AS_DESIGNED
+    ) -> None:
+        self._loop, self._period_s, self.order = copy.copy(loop), period_s, _ORDER if shafts.half else 0
+        self._loop.model = _lighter(loop.model, shafts.middle)
+        loaded = LoadedPeriods(self._loop, period_s, 1)
+        whole = loaded.period(usual)[0]
+        n, size = len(loop.model.A), len(whole) - 1
         rest = np.linalg.lstsq(np.eye(size) - whole[:-1, :-1], whole[:-1, -1], rcond=None)[0]
-        self._rest = np.append(rest, 1.0)
-        self.rest_looks = looks @ self._rest
-        """(W,): errors at rest."""
-        self.error_at_rest = float(np.abs(self.rest_looks).max())
-        lengths_s = period_s * np.arange(_START_PARTS + 1) / _START_PARTS
-        self.starts = np.array([self._loaded.flow(length_s)[:-1, -1] for length_s in lengths_s]) - rest
-        """(N, k): d at the first sample, the load having come 0 .. 1 periods before."""
-        curved = start_curvature(model, period_s)
-        self._bend = np.zeros(size)
-        self._bend[:n] = (period_s / _START_PARTS) ** 2 / 8.0 * curved
-        begun = (period_s / _WITHIN) ** 2 / 8.0 * float(np.abs(model.C) @ curved)
-        first = max(float(np.abs(self._loaded.begin()[1]).max()), self.error_at_rest)
-        self.known = first, first + begun
-        """An error that is reached before the first sample or in the end, and a bound of these."""
-        of_state, of_input, _ = error_curvature(model, period_s)
-        share = (period_s / _WITHIN) ** 2 / 8.0
+        self._rest, self._loaded = np.append(rest, 1.0), loaded
+        A, B1, B2 = loop.model.A, loop.model.B1, loop.model.B2
+        self._look = math.copysign(1.0, loop.model.C @ B2) * loop.model.C
+        self.error_at_rest = float(self._look @ rest[:n])
+        self._points = control_points(self.order)
+        rates = np.zeros((n + 2, n + 2))  # of [x, u, load]
+        rates[:n, :n], rates[:n, n], rates[:n, n + 1] = A, B1, B2
+        if (
+            np.abs(rates[:n] @ np.append(rest[: n + 1], 1.0)).max()
+            > _ALIKE * np.abs(rates[:n]).max() * np.abs(rest).max()
+        ):
+            raise NoSolution("certificate of the peak", "at rest under the load the shaft does not stay")
+        self._slope = np.zeros_like(rates)
+        self._slope[_SPEED] = shafts.half * rates[_SPEED]
+        self._rates = rates
+        self._rates[_SPEED] *= shafts.middle
+        self._flows: dict[float, TaylorMap] = {}
+        lightest = _lighter(loop.model, shafts.middle + shafts.half)
+        # bounds grow with the rates, but for a decay that is slower for the others
+        slower = math.exp(-2.0 * shafts.half * loop.model.A[_SPEED, _SPEED] * period_s)
+        self._begin(n, size, slower * start_curvature(lightest, period_s))
+        of_state, of_input, _ = error_curvature(lightest, period_s)
+        share = slower * (period_s / _WITHIN) ** 2 / 8.0
         self._of_state, self._of_input = share * of_state, share * of_input
 
-    def maps(self, chain: Sequence[Operation]) -> PeriodMaps:
-        """Return those of a period. Raises NoSolution where it moves the state at rest."""
-        whole, looks = self._loaded.period(chain)
-        moved = whole[:-1] @ self._rest - self._rest[:-1]
+    def _begin(self, n: int, size: int, curved: Array) -> None:
+        h = self._period_s
+        shares = np.arange(_START_PARTS + 1) / _START_PARTS
+        begun = exponential(h * self._rates, h * self._slope, shares, self.order)
+        self.starts = np.zeros((_START_PARTS + 1, self.order + 1, size))
+        """(N, m + 1, k): d at the first sample, the load having come 0 .. 1 periods before."""
+        self.starts[:, :, :n] = begun.coefficients[:, :, :n, n + 1].transpose(1, 0, 2)
+        errors, left = self.starts[:, :, :n] @ self._look, begun.rest[:, :n, n + 1] @ np.abs(self._look)
+        self.starts[:, 0] -= self._rest[:-1]
+        self._bend = np.zeros((_START_PARTS + 1, size))
+        self._bend[:, :n] = (h / _START_PARTS) ** 2 / 8.0 * curved
+        between = float(np.abs(self._look) @ self._bend[0, :n])
+        self._bend[:, :n] += self._weighed(begun.rest[:, :n, n + 1])
+        at_rest = abs(self.error_at_rest)
+        ends = np.vander([-1.0, 0.0, 1.0], self.order + 1, increasing=True)
+        reached = (np.abs(errors @ ends.T).max(axis=1) - self._weighed(left)).max()
+        passed = (np.abs(errors @ self._points.T).max(axis=1) + self._weighed(left)).max()
+        self.known = max(float(reached), at_rest), max(float(passed) + between, at_rest)
+        """An error that is reached before the first sample or in the end, and a bound of these."""
+
+    def _weighed(self, rest: Array) -> Array:
+        """Return what is left out: nothing where the inertia is one alone."""
+        return rest if self.order else np.zeros_like(rest)
+
+    def maps(self, chain: Sequence[Operation]) -> LoadedPeriod:
+        """Return those of a period that begins with a jump. Raises NoSolution where it moves the state at
+        rest."""
+        moved = self._loaded.period(chain)[0][:-1] @ self._rest - self._rest[:-1]
         if np.abs(moved).max() > _ALIKE * np.abs(self._rest).max():
             raise NoSolution("certificate of the peak", "what is lost moves the state at rest")
-        place = len(self._loop.model.A)
-        held = np.array([np.eye(len(self._rest) - 1)[place], self._loop.transition(chain)[place]])
-        return PeriodMaps(whole[:-1, :-1], looks[:, :-1], held)
+        jump, *later = chain
+        assert isinstance(jump, Jump)
+        q = len(self._loop.model.A) + 1
+        total, looks = constant(np.eye(self._loop.size), self.order), []
+        for operation in later:
+            if isinstance(operation, Jump):
+                total = total.under(operation.J)
+            elif operation.length_s > 0.0:
+                flows, acted = self._flow(operation.length_s), total.of(slice(q))
+                rows = TaylorMap(flows.coefficients[..., : q - 1, :], flows.rest[..., : q - 1, :])
+                seen = rows.under(self._look[None]).after(acted)
+                looks.append(TaylorMap(seen.coefficients[..., 0, :], seen.rest[..., 0, :]))
+                coefficients, rest = total.coefficients.copy(), total.rest.copy()
+                coefficients[:, :q], rest[:q] = flows.of(-1).after(acted)
+                total = TaylorMap(coefficients, rest)
+        every = TaylorMap(
+            np.concatenate([each.coefficients for each in looks], axis=1),
+            self._weighed(np.concatenate([each.rest for each in looks])),
+        )
+        held = np.array([np.eye(self._loop.size)[q - 1], self._loop.transition(later)[q - 1]])
+        return LoadedPeriod(jump.J, TaylorMap(total.coefficients, self._weighed(total.rest)), every, held)
+
+    def _flow(self, length_s: float) -> TaylorMap:
+        """Return what passes of [x, u] until each instant of ``length_s``, and until its end."""
+        if length_s not in self._flows:
+            q = len(self._rates) - 1
+            parts = max(1, math.ceil(_WITHIN * length_s / self._period_s * (1.0 - 1e-9)))
+            shares = length_s * np.arange(1, parts + 1) / parts
+            self._flows[length_s] = exponential(self._rates[:q, :q], self._slope[:q, :q], shares, self.order)
+        return self._flows[length_s]
+
+    def edge(self, source: int, target: int, period: LoadedPeriod, firsts: Array) -> NormedEdge:
+        """Return what the norms have to bear of a period, whose first jump is one of the hull of ``firsts``
+        (N, k, k)."""
+        hull = np.tensordot(self._points, period.M.coefficients, axes=1)
+        rows = np.tensordot(self._points, period.looks.coefficients, axes=1).transpose(1, 0, 2)
+        n, k = len(self._of_state), self._loop.size
+        between = np.zeros((len(firsts), n + 2, k))
+        between[:, :n, :n] = np.diag(self._of_state)
+        between[:, n:] = self._of_input * period.inputs @ firsts
+        return NormedEdge(
+            source,
+            target,
+            (hull @ firsts[:, None]).reshape(-1, k, k),
+            (rows.reshape(-1, k) @ firsts).reshape(-1, k),
+            firsts,
+            between,
+            *((period.M.rest, period.looks.rest, _ROOM) if self.order else (None, None, 0.0)),
+        )
 
     def begun(self, node: int, norms: FallingNorms, memory: Array) -> Leaves:
         """Return the leaves at ``node``, one for each begin of the load and row of ``memory`` (N, m)."""
         count, parts = len(memory), len(self.starts)
-        bend = float(np.linalg.norm(np.abs(norms.T[node]) @ self._bend))
+        bend = np.linalg.norm(self._bend @ np.abs(norms.T[node]).T, axis=1)
         return Leaves(
             np.full(count * parts, node),
-            np.tile(self.starts, (count, 1)),
-            np.full(count * parts, bend),
+            np.tile(self.starts.reshape(parts, -1), (count, 1)),
+            np.tile(bend, count),
             np.repeat(memory, parts, axis=0),
         )
 
-    def errors(self, d: Array, seen: Array, held: Array) -> tuple[Array, Array]:
-        """Return (N,) the largest errors at the instants, and how far they may be exceeded between these.
+    def apart(self, d: Array) -> Array:
+        """Return the coefficients (N, m + 1, k) of leaves' d."""
+        return d.reshape(len(d), self.order + 1, -1)
 
-        ``d`` (N, k) at the period's begin, ``seen`` (N, W) its errors, ``held`` (N, 2) its inputs.
+    def control(self, values: Array) -> Array:
+        """Return the values (N, m + 1, ..) in whose hull those of every u lie; ``values``: coefficients."""
+        return np.asarray(np.einsum("ij,nj...->ni...", self._points, values))
+
+    def errors(self, z: Array, d: Array, period: LoadedPeriod, opened: Array) -> tuple[Array, Array, Array]:
+        """Return (N,) largest errors: reached at some inertia, a bound at the instants, and how far it may be
+        exceeded between these.
+
+        ``z``, ``d`` (N, m + 1, k): after the first jump and before it; ``opened`` (N, k): how far each entry
+        of z may differ.
         """
-        n = len(self._of_state)
-        between = np.abs(d[:, :n]) @ self._of_state + self._of_input * np.abs(held).max(axis=1)
-        return np.abs(seen + self.rest_looks).max(axis=1), between
+        order, n = self.order, len(self._of_state)
+        used = np.flatnonzero(np.abs(period.looks.coefficients).max(axis=(0, 1)))
+        looks = period.looks.coefficients[:, :, used].transpose(0, 2, 1)
+        seen = products(z[:, :, used].transpose(1, 0, 2), looks)
+        seen[0] = seen[0] + self.error_at_rest
+        left = np.abs(z).sum(axis=1) @ period.looks.rest.T
+        left += opened @ (np.abs(period.looks.coefficients).sum(axis=0) + period.looks.rest).T
+        powers = np.vander([-1.0, -0.5, 0.0, 0.5, 1.0] if order else [0.0], len(seen), increasing=True)
+        reached = (np.abs(np.tensordot(powers, np.array(seen), axes=1)).max(axis=0) - left).max(axis=1)
+        hull = np.tensordot(self._points, np.array(seen[: order + 1]), axes=1)
+        over = sum((np.abs(each) for each in seen[order + 1 :]), left)
+        bound = (np.abs(hull).max(axis=0) + over).max(axis=1)
+        held = np.abs(self.control(z @ period.inputs.T)).max(axis=(1, 2))
+        held += (opened @ np.abs(period.inputs).T).max(axis=1)
+        state = np.abs(self.control(d[:, :, :n])).max(axis=1)
+        return reached, bound, state @ self._of_state + self._of_input * held
 
 
 class NormedWalks:
@@ -102,9 +229,29 @@ class NormedWalks:
 
     def bounds(self, leaves: Leaves) -> Array:
         """Return (N,): what no error behind each leaf exceeds."""
-        sizes = self._norms.sizes(leaves.node, leaves.d) + leaves.radius
-        return np.asarray(self._step.error_at_rest + sizes)
+        hull = self._step.control(self._step.apart(leaves.d))
+        many = hull.shape[1]
+        sizes = self._norms.sizes(np.repeat(leaves.node, many), hull.reshape(len(leaves.d) * many, -1))
+        return np.asarray(abs(self._step.error_at_rest) + sizes.reshape(-1, many).max(axis=1) + leaves.radius)
 
     def refine(self, leaves: Leaves) -> None:
         """Sharpen the bounds for some leaves."""
-        self._norms.refine(leaves.node, leaves.d)
+        self._norms.refine(leaves.node, self._step.apart(leaves.d)[:, 0])
+
+    def moved(self, z: Array, period: LoadedPeriod, target: int) -> tuple[Array, Array]:
+        """Return the coefficients of d a period later, flat, and (N,) what these leave out, in the first
+        norm."""
+        T, order = self._norms.first.T[target], self._step.order
+        later = products(z.transpose(1, 0, 2), period.M.coefficients.transpose(0, 2, 1))
+        wider = np.linalg.norm(np.abs(z).sum(axis=1) @ (np.abs(T) @ period.M.rest).T, axis=1)
+        for beyond in later[order + 1 :]:
+            wider = wider + np.linalg.norm(beyond @ T.T, axis=1)
+        return np.stack(later[: order + 1], axis=1).reshape(len(z), -1), wider
+
+
+def _lighter(model: SpeedModel, factor: float) -> SpeedModel:
+    """Return ``model`` with so many times the inverse of its inertia."""
+    A, B1, B2 = (each.copy() for each in (model.A, model.B1, model.B2))
+    for each in (A, B1, B2):
+        each[_SPEED] *= factor
+    return replace(model, A=A, B1=B1, B2=B2)

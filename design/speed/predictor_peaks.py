@@ -1,4 +1,5 @@
-"""The largest error of a predictor after a load step over every sequence of losses and detected steps.
+"""The largest error of a predictor after a load step over every sequence of losses and detected steps, and
+every inertia of a range.
 
 The search of :mod:`servobench.design.sampled.peak_tree`: a leaf remembers between which covariances that of
 its filter lies, and the one that believes in faster loads. Its gains lie in a box; with those of the middle
@@ -14,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servobench.design.delay.delay_loop import Array
-from servobench.design.sampled.falling_norms import NormedEdge, Norms
+from servobench.design.sampled.falling_norms import Norms
+from servobench.design.sampled.loss_peak import over_inertias
 from servobench.design.sampled.peak_steps import PeakBound
 from servobench.design.sampled.peak_tree import Leaves, bounded_peak, joined
 from servobench.design.sampled.random_losses import Outcome
-from servobench.design.sampled.stepped_load import NormedWalks, SteppedLoad
+from servobench.design.sampled.stepped_load import LoadedPeriod, NormedWalks, Shafts, SteppedLoad
 from servobench.design.speed.predictor_gains import CovarianceRange, GainBoxes
 from servobench.design.speed.predictor_loop import PredictorLoop
 from servobench.design.speed.predictor_plant import KalmanModel, of_state
@@ -42,49 +44,64 @@ class _Move(NamedTuple):
     outcome: Outcome
 
 
-class _Period:
-    """Its maps, linear in the gains L (3,) of its sample: without, and what an innovation adds (.., 3)."""
+class _Period(NamedTuple):
+    """Its maps, those of a lost sample."""
 
-    def __init__(self, loop: PredictorLoop, step: SteppedLoad, outcome: Outcome) -> None:
-        self.lost = step.maps(sent(loop.chain(None), outcome))
-        read = loop.read / (loop.read @ loop.read)
-        each = [step.maps(sent(loop.chain(of_state(L)), outcome)) for L in np.eye(3)]
-        self.M, self.looks, self.inputs = (
-            np.array([(with_sample - without) @ read for with_sample in rows]).T
-            for without, rows in zip(self.lost, zip(*each, strict=True), strict=True)
-        )
+    maps: LoadedPeriod
+    entering: Array
+    """(k, 3): what the gains times an innovation add to the first jump."""
+
+
+def _period(loop: PredictorLoop, step: SteppedLoad, outcome: Outcome) -> _Period:
+    lost = step.maps(sent(loop.chain(None), outcome))
+    read = loop.read / (loop.read @ loop.read)
+    each = [step.maps(sent(loop.chain(of_state(L)), outcome)).first for L in np.eye(3)]
+    return _Period(lost, np.array([(first - lost.first) @ read for first in each]).T)
 
 
 def predictor_peak(
-    loop: PredictorLoop, kalman: KalmanModel, walks: Walks, readings_max: int, commands_max: int
+    loop: PredictorLoop,
+    kalman: KalmanModel,
+    walks: Walks,
+    readings_max: int,
+    commands_max: int,
+    inertias: tuple[float, float] = (1.0, 1.0),
 ) -> PeakBound:
     """Return the largest error after a load step of 1 N m, rad/s, certified and reached, with at most so many
-    readings and commands lost in a row, and any samples taken for steps. Raises NoSolution."""
+    readings and commands lost in a row, and any samples taken for steps.
+
+    ``inertias``: smallest and largest, as multiples of the model's. Raises NoSolution.
+    """
     moves = list(_moves(readings_max, commands_max))
     nodes = (readings_max + 1) * (commands_max + 1)
-    step = SteppedLoad(loop, loop.period_s, loop.chain(kalman.observer(walks.quiet)))
     boxes = GainBoxes(kalman, walks, readings_max)
-    periods = {outcome: _Period(loop, step, outcome) for outcome in {move.outcome for move in moves}}
-    edges = []
-    for move in moves:
-        period = periods[move.outcome]
-        corners = [np.zeros(3)] if move.outcome.reading else [L[1:] for L in boxes.corners(move.readings)]
-        M = np.array([period.lost.M + np.outer(period.M @ L, loop.read) for L in corners])
-        looks = [period.lost.looks + np.outer(period.looks @ L, loop.read) for L in corners]
-        edges.append(NormedEdge(move.source, move.target, M, np.vstack(looks)))
-    norms = Norms(edges, nodes, step.starts)
-    walk, known = _Walks(loop.read, moves, periods, boxes, norms, step), step.known
-    for closeness, begun in (
-        (_CLOSENESS, boxes.exact(_histories(readings_max))),
-        (_CLOSENESS, GainBoxes(kalman, walks, readings_max, _HISTORIES_MAX).outcomes),
-    ):
-        first = []
-        for node in range(nodes):
-            memory = boxes.predicted(begun, node // (commands_max + 1))
-            first.append(step.begun(node, norms.first, _flat(memory)))
-        bound = bounded_peak(walk, joined(first), known, closeness, _LEAVES_MAX)
-        known = bound.reached, known[1]
-    return bound
+    begins = (
+        boxes.exact(_histories(readings_max)),
+        GainBoxes(kalman, walks, readings_max, _HISTORIES_MAX).outcomes,
+    )
+
+    def peak(shafts: Shafts, known: tuple[float, float]) -> PeakBound:
+        step = SteppedLoad(loop, loop.period_s, loop.chain(kalman.observer(walks.quiet)), shafts)
+        periods = {outcome: _period(loop, step, outcome) for outcome in {move.outcome for move in moves}}
+        edges = []
+        for move in moves:
+            period = periods[move.outcome]
+            corners = [np.zeros(3)] if move.outcome.reading else [L[1:] for L in boxes.corners(move.readings)]
+            firsts = [period.maps.first + np.outer(period.entering @ L, loop.read) for L in corners]
+            edges.append(step.edge(move.source, move.target, period.maps, np.array(firsts)))
+        norms = Norms(edges, nodes, step.starts[:, 0])
+        walk = _Walks(loop.read, moves, periods, boxes, norms, step)
+        known = max(known[0], step.known[0]), max(known[1], step.known[1])
+        for begun in begins:
+            first = []
+            for node in range(nodes):
+                memory = boxes.predicted(begun, node // (commands_max + 1))
+                first.append(step.begun(node, norms.first, _flat(memory)))
+            bound = bounded_peak(walk, joined(first), known, _CLOSENESS, _LEAVES_MAX)
+            known = bound.reached, known[1]
+        return bound
+
+    return over_inertias(peak, inertias)
 
 
 def _histories(readings_max: int) -> NDArray[np.int_]:
@@ -126,38 +143,42 @@ class _Walks(NormedWalks):
             prior = self._boxes.predicted(
                 CovarianceRange(*own.memory.reshape(-1, 4, 3, 3).transpose(1, 0, 2, 3))
             )
-            lost = period.lost
+            nothing = np.zeros((len(own.d), 3))
             if move.outcome.reading:
-                later = _flat(prior)
-                errors, between = self._step.errors(own.d, own.d @ lost.looks.T, own.d @ lost.inputs.T)
-                targets = np.full(len(own.d), move.target)
-                came.append(Leaves(targets, own.d @ lost.M.T, own.radius, later))
-                reached = max(reached, float(errors.max()))
-                bound = max(bound, float((errors + between + own.radius).max()))
-                continue
-            for taken in (False, True):
-                gains = self._boxes.intervals(*(prior[2:] if taken else prior[:2]))
-                child, error, most = self._sampled(move, period, own, gains)
-                came.append(child._replace(memory=_flat(self._boxes.corrected(prior, taken))))
+                ways = [((nothing, nothing), prior)]
+            else:
+                ways = [
+                    (
+                        self._boxes.intervals(*(prior[2:] if taken else prior[:2])),
+                        self._boxes.corrected(prior, taken),
+                    )
+                    for taken in (False, True)
+                ]
+            for gains, later in ways:
+                child, error, most = self._stepped(move, period, own, gains)
+                came.append(child._replace(memory=_flat(later)))
                 reached, bound = max(reached, error), max(bound, most)
         return joined(came), reached, bound
 
-    def _sampled(
+    def _stepped(
         self, move: _Move, period: _Period, own: Leaves, gains: tuple[Array, Array]
     ) -> tuple[Leaves, float, float]:
         middle, half = 0.5 * (gains[0] + gains[1]), 0.5 * (gains[1] - gains[0])
-        innovation, lost = own.d @ self._read, period.lost
-        added, open_ = middle * innovation[:, None], half * np.abs(innovation)[:, None]
-        seen = own.d @ lost.looks.T + added @ period.looks.T
-        held = own.d @ lost.inputs.T + added @ period.inputs.T
-        held = np.abs(held) + open_ @ np.abs(period.inputs).T
-        errors, between = self._step.errors(own.d, seen, held)
-        apart = (open_ @ np.abs(period.looks).T).max(axis=1)
-        turned = self._norms.first.T[move.target] @ period.M
-        wider = np.max([np.linalg.norm((open_ * signs) @ turned.T, axis=1) for signs in _SIGNS], axis=0)
+        d, maps, step = self._step.apart(own.d), period.maps, self._step
+        innovation = d @ self._read
+        z = d @ maps.first.T + (middle[:, None] * innovation[:, :, None]) @ period.entering.T
+        open_ = half * np.abs(step.control(innovation)).max(axis=1)[:, None]
+        least, most, between = step.errors(z, d, maps, open_ @ np.abs(period.entering).T)
+        later, wider = self.moved(z, maps, move.target)
+        T = self._norms.first.T[move.target]
+        for M in maps.M.coefficients:
+            turned = T @ M @ period.entering
+            wider += np.max([np.linalg.norm((open_ * signs) @ turned.T, axis=1) for signs in _SIGNS], axis=0)
+        left = np.abs(T) @ maps.M.rest @ np.abs(period.entering)
+        wider += np.linalg.norm(open_ @ left.T, axis=1)
         targets = np.full(len(own.d), move.target)
-        child = Leaves(targets, own.d @ lost.M.T + added @ period.M.T, own.radius + wider, own.memory)
-        reached, passed = errors - apart - own.radius, errors + between + apart + own.radius
+        child = Leaves(targets, later, own.radius + wider, own.memory)
+        reached, passed = least - own.radius, most + between + own.radius
         return child, float(reached.max()), float(passed.max())
 
 

@@ -25,6 +25,10 @@ class PeaksOptions:
     command_losses_max: Annotated[
         int, valued("--command-losses-max", "N", "Commands lost in a row, at most.", min=0, max=2)
     ] = 0
+    inertia_percent: Annotated[
+        str,
+        valued("--inertia-percent", "LEAST,MOST", "Inertias, of the one that the controller was made for."),
+    ] = "100,100"
     load_nm: LoadOption = None
     as_json: JsonOption = False
 
@@ -33,11 +37,12 @@ def peaks(asked: PeaksOptions) -> None:
     """Bound the speed error after a load step, whichever readings and commands are lost.
 
     A row for each number of losses in a row, up to those asked for. Certified: no sequence exceeds it, at any
-    instant, whenever the load comes. Found: some sequence reaches it. Motor and current loop are those that
-    the controller was made for, and so are the delays.
+    instant, whenever the load comes, with any inertia of the range. Found: some sequence reaches it. The rest
+    of motor and drive is what the controller was made for, and so are the delays.
 
     Examples:
       hil analyse peaks examples/controllers/ling2012-fused.toml --losses-max 1
+      hil analyse peaks examples/controllers/ling2012-fused.toml --losses-max 1 --inertia-percent 70,130
     """
     from servobench.hil.configuration.bench_file import load_controller
     from servobench.hil.studies.speed.loss_peaks import peaks_figures
@@ -48,6 +53,23 @@ def peaks(asked: PeaksOptions) -> None:
         kind = getattr(controller, "kind", "")
         raise BadInput(str(asked.controller), "controller.kind", kind, f"one of {', '.join(DESIGNED)}")
     figures = peaks_figures(
-        controller, asked.controller, asked.losses_max, asked.command_losses_max, asked.load_nm
+        controller,
+        asked.controller,
+        asked.losses_max,
+        asked.command_losses_max,
+        asked.load_nm,
+        _inertias(asked.inertia_percent),
     )
     put(figures, asked.as_json, print_figures)
+
+
+def _inertias(text: str) -> tuple[float, float]:
+    """Return the ends of a range, as multiples. Raises BadInput."""
+    expected = "LEAST,MOST in percent, from 1 to 10000, as in 70,130"
+    try:
+        least, most = (0.01 * float(part) for part in text.split(","))
+    except ValueError:
+        raise BadInput("--inertia-percent", "", text, expected) from None
+    if not 0.01 <= least <= most <= 100.0:
+        raise BadInput("--inertia-percent", "", text, expected)
+    return least, most

@@ -1,4 +1,4 @@
-"""An attack on certified peaks over lost readings and commands: ``python -m tests.attack --seconds 600``.
+"""An attack on certified peaks over losses and inertias: ``python -m tests.attack --seconds 600``.
 
 Drawn loops are certified here and attacked in another process, whose simulation and search are its own
 (:mod:`tests.attack.simulation`). No attack may exceed what is certified.
@@ -22,6 +22,8 @@ class Attacked(NamedTuple):
     """A loop that was certified and attacked, rad/s per N m."""
 
     kind: str
+    inertia_percent: float
+    """By how much it may differ, either way."""
     certified: float
     reached: float
     attacked: float
@@ -68,10 +70,11 @@ def attacked(seed: int, attack: Attack) -> Attacked | None:
     if drawn is None:
         return None
     try:
-        bound = peak_of(drawn.controller, drawn.readings, drawn.commands)
+        bound = peak_of(drawn.controller, drawn.readings, drawn.commands, drawn.inertias)
     except NoSolution:
         return None
-    return Attacked(drawn.told["kind"], bound.certified, bound.reached, attack.on(drawn.told))
+    differs = 100.0 * (drawn.inertias[1] - 1.0)
+    return Attacked(drawn.told["kind"], differs, bound.certified, bound.reached, attack.on(drawn.told))
 
 
 def main() -> int:
@@ -94,7 +97,8 @@ def main() -> int:
         else:
             done.append(found)
             print(
-                f"{seed:5} {found.kind:9} certified {found.certified:10.4f} found {found.reached:10.4f}"
+                f"{seed:5} {found.kind:9} J +-{found.inertia_percent:2.0f} %"
+                f" certified {found.certified:10.4f} found {found.reached:10.4f}"
                 f" attacked {found.attacked:10.4f}  {found.ratio:.3f}{'  VIOLATED' * found.violated}",
                 flush=True,
             )

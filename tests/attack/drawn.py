@@ -32,6 +32,8 @@ class DrawnLoop(NamedTuple):
     controller: Remembering
     readings: int
     commands: int
+    inertias: tuple[float, float]
+    """Smallest and largest, as multiples of the one that the controller knows."""
     told: dict[str, Any]
 
 
@@ -69,9 +71,14 @@ def drawn_loop(seed: int) -> DrawnLoop | None:
     readings, commands = int(draw.integers(0, 4)), int(draw.integers(0, 2))
     if kind == "static":  # whatever is lost, its input stays: both together are losses of one frame
         commands = 0
+    # a predictor's certificate over inertias and losses at once takes minutes
+    ranged = draw.random() < 0.5 and not (kind == "predictor" and readings)
+    spread = draw.uniform(0.02, 0.3) if ranged else 0.0
+    inertias = (1.0 - spread, 1.0 + spread)
     told = {
         "kind": kind,
         "seed": seed,
+        "inertias": inertias,
         "inertia": motor.inertia_kg_m2,
         "friction": motor.viscous_friction_nm_s,
         "rate": request.current_rate_rad_s,
@@ -81,7 +88,7 @@ def drawn_loop(seed: int) -> DrawnLoop | None:
         "readings": readings,
         "commands": commands,
     }
-    return DrawnLoop(controller, readings, commands, told | own)
+    return DrawnLoop(controller, readings, commands, inertias, told | own)
 
 
 Draw = Callable[[float, float], float]

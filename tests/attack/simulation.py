@@ -1,8 +1,8 @@
 """Loops on stdin, one JSON object a line; the largest errors that a search reaches on stdout.
 
 Numpy alone: shaft, drive, links and controllers are simulated here step by step. An evolution chooses which
-readings and commands are lost, when the load comes within a period, and which readings a predictor takes for
-steps of the load.
+readings and commands are lost, when the load comes within a period, the shaft's inertia, and which readings a
+predictor takes for steps of the load.
 """
 
 import json
@@ -20,6 +20,7 @@ POPULATION, PARENTS, GENERATIONS = 160, 24, 20
 BEFORE = 5
 """Periods at rest before the load: what was lost then, a controller remembers."""
 WITHIN = 12
+SHAFTS = 7
 
 
 def exponential(matrix: Array) -> Array:
@@ -38,8 +39,8 @@ def exponential(matrix: Array) -> Array:
 class Physics:
     """[T, omega, filtered, angle] under a command and a load."""
 
-    def __init__(self, loop: dict[str, Any]) -> None:
-        inertia, friction, rate = loop["inertia"], loop["friction"], loop["rate"]
+    def __init__(self, loop: dict[str, Any], heavier: float = 1.0) -> None:
+        inertia, friction, rate = heavier * loop["inertia"], loop["friction"], loop["rate"]
         self._rates = np.zeros((6, 6))
         self._rates[0, [0, 4]] = -rate, rate
         self._rates[1, [0, 1, 5]] = 1.0 / inertia, -friction / inertia, -1.0 / inertia
@@ -53,6 +54,20 @@ class Physics:
         if key not in self._known:
             self._known[key] = exponential(self._rates * length_s)[:4].T
         return np.column_stack([x, command, load]) @ self._known[key]
+
+
+class Shafts:
+    """The physics of many runs, each with its own multiple of the inertia."""
+
+    def __init__(self, loop: dict[str, Any], heavier: Array) -> None:
+        self._own = [(heavier == each, Physics(loop, float(each))) for each in np.unique(heavier)]
+
+    def run(self, x: Array, command: Array, load: Array, length_s: float) -> Array:
+        """Return the states (runs, 4) after ``length_s``."""
+        after = np.empty_like(x)
+        for runs, physics in self._own:
+            after[runs] = physics.run(x[runs], command[runs], load[runs], length_s)
+        return after
 
 
 class Host:
@@ -156,12 +171,13 @@ class Host:
 
 @dataclass
 class People:
-    """(P, periods) each, and (P,) the part of a period after a sample at which the load comes."""
+    """(P, periods) each; (P,) when the load comes, in periods after a sample, and shares of the inertia."""
 
     missing: Bits
     unheard: Bits
     bold: Bits
     part: Array
+    heavier: Array
 
     def of(self, which: NDArray[np.int64]) -> "People":
         """Return some of them."""
@@ -179,7 +195,7 @@ def bounded(lost: Bits, most: int) -> None:
 def peaks(loop: dict[str, Any], people: People) -> Array:
     """Return each one's largest error after a load of 1 N m, rad/s."""
     runs, periods = people.missing.shape
-    host = Host(loop, runs)
+    host, shafts = Host(loop, runs), Shafts(loop, people.heavier)
     x, force, peak, h = np.zeros((runs, 4)), np.zeros(runs), np.zeros(runs), host.h
     parts = np.unique(people.part)
     instants = sorted({h * k / WITHIN for k in range(1, WITHIN + 1)} | {host.acts_s} | set(h * parts) - {0.0})
@@ -194,7 +210,7 @@ def peaks(loop: dict[str, Any], people: People) -> Array:
             force = acting
         for instant in instants:
             begun = number > BEFORE or (number == BEFORE and np.full(runs, instant) > h * people.part + 1e-12)
-            x = host.plant.run(x, force, np.where(begun, 1.0, 0.0) * np.ones(runs), instant - at_s)
+            x = shafts.run(x, force, np.where(begun, 1.0, 0.0) * np.ones(runs), instant - at_s)
             at_s = instant
             if instant == host.acts_s:
                 force = acting
@@ -213,6 +229,7 @@ def attacked(loop: dict[str, Any]) -> float:
         draw.random(shape) < draw.random((POPULATION, 1)),
         draw.random(shape) < draw.random((POPULATION, 1)) * (np.arange(POPULATION) % 3 > 0)[:, None],
         draw.choice([0.0, 0.25, 0.5, 0.75], size=POPULATION),
+        draw.choice(inertias(loop), size=POPULATION),
     )
     people.missing[0] = people.unheard[0] = people.bold[0] = False
     people.missing[1], people.bold[1] = True, False
@@ -222,11 +239,17 @@ def attacked(loop: dict[str, Any]) -> float:
         bounded(people.unheard, loop["commands"])
         reached = peaks(loop, people)
         best = max(best, float(reached.max()))
-        people = children(people.of(np.argsort(-reached)[:PARENTS]), draw)
+        people = children(people.of(np.argsort(-reached)[:PARENTS]), draw, inertias(loop))
     return best
 
 
-def children(parents: People, draw: np.random.Generator) -> People:
+def inertias(loop: dict[str, Any]) -> Array:
+    """Return those that are tried, both ends among them."""
+    least, most = loop["inertias"]
+    return np.linspace(least, most, 1 if least == most else SHAFTS)
+
+
+def children(parents: People, draw: np.random.Generator, shafts: Array) -> People:
     """Return the parents themselves, and children crossed and changed in a few periods."""
     one, other = draw.integers(PARENTS, size=(2, POPULATION))
     one[:PARENTS] = other[:PARENTS] = np.arange(PARENTS)
@@ -240,6 +263,8 @@ def children(parents: People, draw: np.random.Generator) -> People:
         setattr(mine, name, crossed ^ (draw.random((POPULATION, periods)) < rate))
     elsewhere = (draw.random(POPULATION) < 0.2) & (rate[:, 0] > 0.0)
     mine.part = np.where(elsewhere, draw.choice([0.0, 0.1, 0.3, 0.6, 0.9], size=POPULATION), mine.part)
+    other_shaft = (draw.random(POPULATION) < 0.2) & (rate[:, 0] > 0.0)
+    mine.heavier = np.where(other_shaft, draw.choice(shafts, size=POPULATION), mine.heavier)
     return mine
 
 

@@ -4,7 +4,9 @@ from collections.abc import Iterator
 
 import pytest
 
+from servobench.hil.studies.speed.loss_peaks import peak_of
 from tests.attack.__main__ import Attack, attacked
+from tests.attack.drawn import drawn_loop
 
 pytestmark = pytest.mark.long
 
@@ -17,7 +19,17 @@ def attack() -> Iterator[Attack]:
 
 
 @pytest.mark.parametrize(
-    ("seed", "kind"), [(1, "hinf"), (5, "static"), (7, "predictor"), (11, "predictor"), (16, "fused")]
+    ("seed", "kind"),
+    [
+        (1, "hinf"),
+        (5, "static"),
+        (7, "predictor"),
+        (8, "hinf"),
+        (11, "predictor"),
+        (16, "fused"),
+        (18, "fused"),
+        (24, "fused"),
+    ],
 )
 def test_no_attack_exceeds_what_is_certified(attack: Attack, seed: int, kind: str) -> None:
     found = attacked(seed, attack)
@@ -32,3 +44,11 @@ def test_a_false_claim_is_told(attack: Attack) -> None:
     found = attacked(16, attack)
     assert found is not None
     assert found._replace(certified=0.99 * found.attacked).violated
+
+
+def test_a_claim_for_one_inertia_alone_does_not_bear_a_range(attack: Attack) -> None:
+    drawn = drawn_loop(24)
+    assert drawn is not None
+    assert drawn.inertias[0] < 0.75
+    alone = peak_of(drawn.controller, drawn.readings, drawn.commands)
+    assert attack.on(drawn.told) > 1.1 * alone.certified

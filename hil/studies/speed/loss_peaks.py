@@ -6,7 +6,7 @@ from typing import Any
 
 from servobench.design.errors import NoSolution
 from servobench.design.sampled.analysis import analyse_loop, with_peak
-from servobench.design.sampled.held_loop import HeldLoop
+from servobench.design.sampled.held_loop import HeldLoop, Strategy
 from servobench.design.sampled.jump_loop import Remembering
 from servobench.design.sampled.loss_peak import losses_peak
 from servobench.design.sampled.peak_steps import PeakBound
@@ -17,11 +17,17 @@ from servobench.hil.studies.speed.random_losses import Designed, remembering_of
 
 
 def peaks_figures(
-    controller: Designed, path: Path, readings_max: int, commands_max: int, load_nm: float | None
+    controller: Designed,
+    path: Path,
+    readings_max: int,
+    commands_max: int,
+    load_nm: float | None,
+    inertias: tuple[float, float] = (1.0, 1.0),
 ) -> dict[str, Any]:
     """Return the largest error after a load step, certified and found, for each number of losses in a row.
 
-    ``load_nm``: None: that of the file's design, or 1 N m. Raises BadInput for a file that does not tell what
+    ``load_nm``: None: that of the file's design, or 1 N m; ``inertias``: smallest and largest, as multiples
+    of the one that the controller was made for. Raises BadInput for a file that does not tell what
     it was made for.
     """
     told = None if isinstance(controller, StateFeedbackController) else controller.figures
@@ -30,18 +36,30 @@ def peaks_figures(
     return {
         "controller": controller.kind,
         "load_nm": load_nm,
+        "inertia_percent": [100.0 * each for each in inertias],
         "peaks": [
-            _bounded(remembering, readings, commands, load_nm)
+            _bounded(remembering, readings, commands, load_nm, inertias)
             for readings in range(readings_max + 1)
             for commands in range(commands_max + 1)
         ],
     }
 
 
-def peak_of(remembering: Remembering, readings_max: int, commands_max: int) -> PeakBound:
+def peak_of(
+    remembering: Remembering, readings_max: int, commands_max: int, inertias: tuple[float, float] = (1.0, 1.0)
+) -> PeakBound:
     """Return the largest error after a load step of 1 N m, with at most so many readings and commands lost in
-    a row. Raises NoSolution."""
-    if isinstance(remembering, RandomHeld) and not commands_max:
+    a row, over a range of inertias. Raises NoSolution."""
+    ranged = inertias != (1.0, 1.0)
+    if isinstance(remembering, RandomHeld) and ranged:
+        network = replace(remembering.loop.network, losses_max=readings_max)
+        if network.strategy is Strategy.ARRIVAL and network.delay_max_s > 0.0:
+            expected = "stamp or history, whose delay does not vary, for a range of inertias"
+            raise NoSolution(
+                "certificate of the peak", f"strategy {network.strategy.value}: expected {expected}"
+            )
+        remembering = RandomHeld(HeldLoop(remembering.loop.model, remembering.loop.K, network))
+    elif isinstance(remembering, RandomHeld) and not commands_max:
         loop = remembering.loop
         analysis = with_peak(
             analyse_loop(HeldLoop(loop.model, loop.K, replace(loop.network, losses_max=readings_max)))
@@ -51,14 +69,16 @@ def peak_of(remembering: Remembering, readings_max: int, commands_max: int) -> P
         return PeakBound(analysis.peak_certified, analysis.peak_found)
     if isinstance(remembering, RandomPredictor):
         own = remembering
-        return predictor_peak(own.loop, own.kalman, own.walks, readings_max, commands_max)
-    return losses_peak(remembering, readings_max, commands_max)
+        return predictor_peak(own.loop, own.kalman, own.walks, readings_max, commands_max, inertias)
+    return losses_peak(remembering, readings_max, commands_max, inertias)
 
 
-def _bounded(remembering: Remembering, readings: int, commands: int, load_nm: float) -> dict[str, Any]:
+def _bounded(
+    remembering: Remembering, readings: int, commands: int, load_nm: float, inertias: tuple[float, float]
+) -> dict[str, Any]:
     lost = {"readings_lost_in_a_row": readings, "commands_lost_in_a_row": commands}
     try:
-        peak = peak_of(remembering, readings, commands)
+        peak = peak_of(remembering, readings, commands, inertias)
     except NoSolution as error:
         return lost | {"not_certified": str(error)}
     return lost | {

@@ -28,6 +28,29 @@ def test_each_number_of_losses_has_its_bound() -> None:
     assert found == sorted(found)
 
 
+def test_a_range_of_inertias_holds_the_peaks_of_each_of_them() -> None:
+    def row(inertias: str) -> tuple[float, float]:
+        options = ("--losses-max", "0", "--inertia-percent", inertias, "--json")
+        last = json.loads(analyse("ling2012-fused.toml", *options).stdout)["peaks"][-1]
+        return last["peak_certified_rad_s"], last["peak_found_rad_s"]
+
+    certified, found = row("70,130")
+    assert found <= certified < 1.01 * found
+    each = [row(f"{one},{one}")[1] for one in (70, 85, 100, 130)]
+    assert max(each) <= certified
+    assert each == sorted(each, reverse=True)
+    assert max(each) > 0.99 * found
+
+
+@pytest.mark.parametrize("typed", ["130,70", "70", "0,100", "70,130,200", "x,1", "nan,nan", "70,inf"])
+def test_what_is_no_range_of_inertias_is_refused(typed: str) -> None:
+    result = analyse("ling2012-fused.toml", "--inertia-percent", typed)
+    assert result.exit_code == 2
+    said = " ".join(result.stderr.split())
+    assert "--inertia-percent" in said
+    assert "LEAST,MOST in percent" in said
+
+
 def test_peaks_are_those_of_the_load_that_is_asked_for() -> None:
     options = ("--losses-max", "0", "--json", "--load-nm")
     one, two = (
