@@ -20,6 +20,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from servobench.design.iron import Iron
 from servobench.design.mechanism import Mechanism
 
 RAD_S_PER_KRPM = 1000.0 * math.pi / 30.0
@@ -31,6 +32,14 @@ class Transform(Enum):
 
     POWER_INVARIANT = "power_invariant"
     AMPLITUDE_INVARIANT = "amplitude_invariant"
+
+
+@dataclass(frozen=True, slots=True)
+class Heat:
+    """What temperature makes of the figures: a share of each."""
+
+    resistance_factor: float
+    flux_factor: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +64,10 @@ class PmsmParameters:
     dc_bus_voltage_v: float
     mechanism: Mechanism | None = None
     """What is between rotor and load; None: they are one, and rub as the equations above say."""
+    iron: Iron | None = None
+    """Saturation of the motor as it is; None: constant inductances. No drive and no design knows of it."""
+    heat: Heat | None = None
+    """Temperature of the motor as it is; None: resistance and flux are those above."""
 
     @property
     def torque_factor(self) -> float:

@@ -174,7 +174,7 @@ _FILES_OF_DRIVE: Final[Mapping[str, _Reader]] = {
     "controller": load_controller,
     "commissioned": load_drive_file,
 }
-_FILES_OF_SIMULATION: Final[Mapping[str, _Reader]] = {"motor": load_motor, "like": load_drive_model}
+_FILES_OF_SIMULATION: Final = {"motor": load_motor, "believes": load_motor, "like": load_drive_model}
 _FILES_OF_CURRENT_CONTROL: Final[Mapping[str, _Reader]] = {
     "controller": partial(load_current_controller, axis="q"),
     "controller_d": partial(load_current_controller, axis="d"),
@@ -364,7 +364,7 @@ class Bench:
 
     def _opened(self, path: list[str], name: str) -> Any:
         """Replace a drive's file, or its preset, by its tables and return them."""
-        if path[0] == "drive" and path[-1] in ("motor", "like") and could_name_a_preset(name):
+        if path[0] == "drive" and path[-1] in _FILES_OF_SIMULATION and could_name_a_preset(name):
             return {"preset": name}
         if len(path) != 3 or path[0] != "drive" or path[2] not in _DRIVE_FILES:
             return name

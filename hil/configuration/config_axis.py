@@ -219,6 +219,9 @@ class Simulation(Section):
     servobench's own drive."""
     motor: MotorFile | None = None
     """The motor on its shaft, as a motor file or its tables; default: ``drive.NAME.motor``."""
+    believes: MotorFile | None = None
+    """The motor that the drive reckons with, as a motor file or its tables; default: the one on its shaft, at
+    its sheet's temperature and with constant inductances."""
     rehearse: int | None = Field(default=None, ge=0)
     """Seed of `hil rehearse`, whose drive with its motor and encoder is simulated instead."""
 

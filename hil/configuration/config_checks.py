@@ -12,15 +12,16 @@ from servobench.drivers.cia402.pdo_plans import Features, PlanWish
 from servobench.drivers.cia402.profile import BENCH_MODES
 from servobench.drivers.errors import MISSING, BadInput
 from servobench.drivers.key_advice import nearest
+from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US, US_PER_S, Duration
 from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.hil.configuration.config import BenchConfig, Bus, BusSegment, Host
 from servobench.hil.configuration.config_axis import DriveConfig, observed_faults
 from servobench.hil.configuration.controller_kinds import StampCompensator
 from servobench.hil.configuration.mode_checks import Fault, mode_faults, reference_faults
-from servobench.hil.configuration.motor_file import speed_max_rpm
 from servobench.hil.configuration.references import Load, LoadStep, SignalFile, SineReference
 from servobench.hil.loop.scenario import Quantity
+from servobench.virtual_bus.drive.field import NO_FIELD, speed_without_load_rad_s
 
 LOAD_DELAY_MAX_S = (1 << 32) * NS_PER_US // NS_PER_S
 """Range of 2100h:5, 32 bits of microseconds."""
@@ -216,11 +217,14 @@ def _limits(config: BenchConfig) -> Iterator[Fault]:
         if bandwidth_hz is not None and bandwidth_hz > fastest_hz:
             expected = f"at most {fastest_hz:g}, an eighth of inner_rate_hz"
             yield f"drive.{axis}.simulation.current_bandwidth_hz", bandwidth_hz, expected, ""
-        speed = speed_max_rpm(motor)
+        field = NO_FIELD if simulation.like is None else simulation.like.field.parameters
+        weakens = config.simulated and field.voltage_share > 0.0
+        speed = speed_without_load_rad_s(motor, field if weakens else NO_FIELD) / RAD_S_PER_RPM
         if drive.limits.speed_max_rpm > speed * TOLERANCE:
-            expected = (
-                f"at most {speed:.0f} r/min, where {motor.name}'s back-EMF takes {motor.dc_bus_voltage_v:g} V"
-            )
+            ends = f"where {motor.name}'s back-EMF takes {motor.dc_bus_voltage_v:g} V"
+            if weakens:
+                ends = f"as far as {motor.name}'s field is weakened"
+            expected = f"at most {speed:.0f} r/min, {ends}"
             yield f"{key}.speed_max_rpm", drive.limits.speed_max_rpm, expected, ""
 
 
@@ -229,9 +233,16 @@ def _simulations(config: BenchConfig) -> Iterator[Fault]:
     count at least."""
     for axis in config.axes:
         simulation, key = config.drive[axis].simulation, f"drive.{axis}.simulation"
-        beside = [name for name in ("eds", "motor") if getattr(simulation, name) is not None]
+        beside = [name for name in ("eds", "motor", "believes") if getattr(simulation, name) is not None]
         if simulation.rehearse is not None and beside:
             yield f"{key}.rehearse", simulation.rehearse, f"no {key}.{beside[0]} beside it", ""
+        turns, believes = (simulation.motor or config.drive[axis].motor).motor, simulation.believes
+        for name in ("pole_pairs", "transform"):
+            there = getattr(turns, name)
+            known = there if believes is None else getattr(believes.motor, name)
+            if known != there:
+                expected = f"{there}, as of the motor on its shaft: without it no drive starts"
+                yield f"{key}.believes.motor.{name}", known, expected, ""
         encoder = None if simulation.like is None else simulation.like.encoder
         period_us = US_PER_S / simulation.inner_rate_hz
         if encoder is not None and encoder.delay_us > period_us:

@@ -1,6 +1,6 @@
 """Files of simulated drives: their source, ``[supply]``, limits of their power stage, ``[protection]``,
-their ``[inverter]``, ``[current_sensor]``, ``[encoder]``, ``[current_loop]``, ``[timing]`` and
-``[set_point]``.
+their ``[inverter]``, ``[current_sensor]``, ``[encoder]``, ``[current_loop]``, ``[timing]``,
+``[set_point]`` and ``[field]``.
 
 ``like`` of ``[drive.NAME.simulation]`` names one or a preset, or has its tables.
 """
@@ -20,6 +20,7 @@ from servobench.hil.configuration.preset_files import FromPreset, load_file_or_p
 from servobench.hil.configuration.quantities import Current, Resistance, Voltage
 from servobench.virtual_bus.device.device_options import AT_ONCE
 from servobench.virtual_bus.drive.encoder import Encoder, SineErrors, SpeedMethod, SpeedSensing
+from servobench.virtual_bus.drive.field import FieldOptions
 from servobench.virtual_bus.drive.power_stage import (
     Chopper,
     CurrentSensors,
@@ -280,6 +281,22 @@ class CurrentLoopTable(Section):
     """What the bench does not say by ``inner_rate_hz``."""
 
 
+class FieldTable(Section):
+    """``[field]``: what the drive does besides a d current of zero, by the motor as it believes it."""
+
+    least_current: bool = False
+    """A d current that makes torque by saliency: the least amplitude for each torque (MTPA)."""
+    weakening: bool = False
+    """A negative d current where the voltage is used up."""
+    voltage_percent: float = Field(default=95.0, ge=50.0, le=100.0)
+    """Share of the largest voltage above which the field is weakened."""
+
+    @property
+    def parameters(self) -> FieldOptions:
+        """The same for the simulated drive."""
+        return FieldOptions(self.least_current, self.voltage_percent / 100.0 if self.weakening else 0.0)
+
+
 class DriveModel(FromPreset):
     """A whole file of a simulated drive."""
 
@@ -293,6 +310,8 @@ class DriveModel(FromPreset):
     current_loop: CurrentLoopTable | None = Field(default=None, description="the table [current_loop]")
     timing: TimingTable | None = Field(default=None, description="the table [timing]")
     set_point: SetPointTable | None = Field(default=None, description="the table [set_point]")
+    field: FieldTable = FieldTable()
+    """The table [field]."""
 
     @property
     def rates(self) -> dict[str, int]:
@@ -314,6 +333,7 @@ class DriveModel(FromPreset):
             "supply": None if self.supply is None else self.supply.parameters,
             "protection": None if self.protection is None else self.protection.parameters,
             "inverter": inverter.parameters,
+            "field": self.field.parameters,
             "current_sensors": None if self.current_sensor is None else self.current_sensor.parameters,
             "encoder": encoder.parameters,
             "speed": encoder.speed.parameters,

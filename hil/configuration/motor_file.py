@@ -1,9 +1,11 @@
 """Motor files: the parameters of a PMSM in TOML, turned into
 :class:`servobench.design.motor.PmsmParameters`, and the mechanism between rotor and load: ``[coupling]``,
-``[friction]``, ``[[cogging]]``, ``[load]`` and ``[switches]``.
+``[friction]``, ``[[cogging]]``, ``[load]`` and ``[switches]``; ``[saturation]`` and ``[temperature]`` are in
+:mod:`servobench.hil.configuration.iron_tables`.
 """
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
 
@@ -15,6 +17,7 @@ from servobench.drivers.bounded_file import NamedBy
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.vendors.motor_objects import POLE_PAIRS_MAX
 from servobench.hil.configuration.config_files import Section
+from servobench.hil.configuration.iron_tables import SaturationTable, TemperatureTable
 from servobench.hil.configuration.load_tables import LoadTables, SwitchesTable
 from servobench.hil.configuration.preset_files import FromPreset, load_file_or_preset
 from servobench.hil.configuration.quantities import (
@@ -180,6 +183,18 @@ class Rating(Section):
     dc_bus_voltage_v: Voltage = Field(description="voltage of the inverter's DC bus, V")
 
 
+def _ideal(motor: Windings, mechanics: MotorMechanics, rating: Rating) -> PmsmParameters:
+    return PmsmParameters(
+        **motor.model_dump(exclude={"transform"}),
+        **mechanics.model_dump(),
+        transform=Transform(motor.transform),
+        rated_torque_nm=rating.torque_nm,
+        rated_speed_rad_s=rating.speed_rpm * RAD_S_PER_RPM,
+        current_max_a=rating.current_max_a,
+        dc_bus_voltage_v=rating.dc_bus_voltage_v,
+    )
+
+
 class MotorFile(FromPreset):
     """A whole motor file."""
 
@@ -193,6 +208,15 @@ class MotorFile(FromPreset):
     cogging: list[CoggingTable] | None = Field(default=None, description="the tables [[cogging]]")
     load: LoadTables | None = Field(default=None, description="the table [load]")
     switches: SwitchesTable | None = Field(default=None, description="the table [switches]")
+    saturation: SaturationTable | None = Field(default=None, description="the table [saturation]")
+    temperature: TemperatureTable | None = Field(default=None, description="the table [temperature]")
+
+    @field_validator("saturation")
+    @classmethod
+    def _is_iron(cls, saturation: SaturationTable | None, found: ValidationInfo) -> SaturationTable | None:
+        if saturation is not None and {"motor", "mechanics", "rating"} <= set(found.data):
+            saturation.iron(_ideal(found.data["motor"], found.data["mechanics"], found.data["rating"]))
+        return saturation
 
     @field_validator("coupling")
     @classmethod
@@ -244,15 +268,12 @@ class MotorFile(FromPreset):
     @property
     def parameters(self) -> PmsmParameters:
         """The same in the form for plant and firmware."""
-        return PmsmParameters(
-            **self.motor.model_dump(exclude={"transform"}),
-            **self.mechanics.model_dump(),
-            transform=Transform(self.motor.transform),
-            rated_torque_nm=self.rating.torque_nm,
-            rated_speed_rad_s=self.rating.speed_rpm * RAD_S_PER_RPM,
-            current_max_a=self.rating.current_max_a,
-            dc_bus_voltage_v=self.rating.dc_bus_voltage_v,
+        ideal = _ideal(self.motor, self.mechanics, self.rating)
+        return replace(
+            ideal,
             mechanism=self._mechanism(),
+            iron=None if self.saturation is None else self.saturation.iron(ideal),
+            heat=None if self.temperature is None else self.temperature.heat,
         )
 
 
@@ -278,8 +299,3 @@ def load_motor(path: Path, named_by: NamedBy | None = None) -> MotorFile:
     Raises BadInput or BadInputs.
     """
     return load_file_or_preset(MotorFile, path, "motor file", named_by)
-
-
-def speed_max_rpm(motor: PmsmParameters) -> float:
-    """Return the speed at which the back-EMF alone takes the whole voltage of the inverter, r/min."""
-    return motor.voltage_max_v / (motor.pole_pairs * motor.flux_linkage_wb) / RAD_S_PER_RPM

@@ -68,16 +68,18 @@ def simulated_drives(config: BenchConfig) -> list[SimulatedServo]:
 def _simulated_drive(config: BenchConfig, axis: str) -> SimulatedServo:
     drive, seed = config.drive[axis], config.bench.seed
     simulation, rate_hz = drive.simulation, drive.simulation.inner_rate_hz
+    machine = (simulation.motor or drive.motor).parameters
     parameters = DriveParameters(
-        **simulation.model_dump(exclude={"eds", "motor", "like", "rehearse"}),
+        **simulation.model_dump(exclude={"eds", "motor", "believes", "like", "rehearse"}),
         **({} if simulation.like is None else simulation.like.parameters),
         controller_q=_at_rate(drive.current_control.controller, rate_hz),
         controller_d=_at_rate(drive.current_control.controller_d, rate_hz),
         load=_load_of(config, axis),
+        machine=None if simulation.believes is None else machine,
     )
     if simulation.rehearse is not None:
         return unknown_drive(simulation.rehearse, drive.node, parameters)[0]
-    motor = (simulation.motor or drive.motor).parameters
+    motor = machine if simulation.believes is None else simulation.believes.parameters
     files = DeviceFiles(None if simulation.eds is None else Path(simulation.eds))
     return servo_of(files, drive.node, motor, parameters, seed)
 

@@ -125,8 +125,8 @@ def show(
 ) -> None:
     """Show figures derived from a motor file, in a data sheet's terms.
 
-    The picture: torque over speed at the voltage of the link, and of what the file has: friction over speed,
-    the coupling's frequency response, cogging over the angle.
+    The picture: torque over speed at the voltage of the link, and of what the file has: torque over current
+    of iron that saturates, friction over speed, the coupling's frequency response, cogging over the angle.
 
     Examples:
       hil motor show motor.toml
@@ -134,17 +134,18 @@ def show(
     """
     from servobench.design.motor import motor_figures
 
-    parameters = motor_file(path).parameters
+    parameters, field = motor_file(path).parameters, None
     if like is not None:
         from servobench.drivers.bounded_file import NamedBy
         from servobench.hil.configuration.drive_model import load_drive_model
 
-        parameters = load_drive_model(like, NamedBy("--like", "", str(like))).runs(parameters)
+        drive = load_drive_model(like, NamedBy("--like", "", str(like)))
+        parameters, field = drive.runs(parameters), drive.field.parameters
     put({"name": parameters.name, **motor_figures(parameters)}, as_json, _print)
     if picture is not None:
         from servobench.hil.studies.motor.drawing import draw_motor
 
-        draw_motor(parameters, picture)
+        draw_motor(parameters, picture, *([] if field is None else [field]))
         say_written(picture)
 
 

@@ -14,6 +14,8 @@ import can
 import numpy as np
 
 from servobench.design.core import native
+from servobench.design.iron import Iron
+from servobench.design.motor import PmsmParameters
 from servobench.design.statespace import StateSpace
 from servobench.drivers.core.native import Link, Pump, WireFrame
 from servobench.drivers.timebase import NS_PER_MS, Instant
@@ -55,6 +57,7 @@ from servobench.virtual_bus.core.native import (
     wire_bits,
 )
 from servobench.virtual_bus.drive.encoder import SpeedMethod, SpeedSensing
+from servobench.virtual_bus.drive.field import FieldOptions
 from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
 from servobench.virtual_bus.drive.load_table import LoadTable
 from servobench.virtual_bus.drive.power_stage import Inverter
@@ -116,7 +119,10 @@ def drive(draw: random.Random) -> None:
     )
     if draw.random() < 0.5:
         motor = replace(motor, mechanism=drawn_mechanism(draw, motor))
+    if draw.random() < 0.3:
+        motor = replace(motor, iron=_iron(draw, motor))
     parameters = FirmwareParameters(
+        field=FieldOptions(draw.random() < 0.3, draw.choice([0.0, 0.0, draw.uniform(0.5, 1.0)])),
         inner_rate_hz=rate_hz,
         encoder_counts_per_revolution=draw.choice([16, 1000, 65_536, 1 << 30]),
         controller_q=_controller(draw, rate_hz) if draw.random() < 0.3 else None,
@@ -144,6 +150,12 @@ def drive(draw: random.Random) -> None:
         assert firmware.tick_at <= now < firmware.tick_after(Instant(now + 1))
         _tell(firmware.inner, draw)
         assert len(firmware.inner.state()) == len(InnerLoops().state())
+
+
+def _iron(draw: random.Random, motor: PmsmParameters) -> Iron:
+    per_d, per_q = 1.0 / motor.inductance_d_h, 1.0 / motor.inductance_q_h
+    knee_wb2 = motor.flux_linkage_wb**2 * draw.uniform(1.0, 4.0)
+    return Iron(per_d, per_q, motor.flux_linkage_wb * per_d, knee_wb2, 10.0 ** draw.uniform(0.0, 7.0))
 
 
 def _controller(draw: random.Random, rate_hz: int) -> StateSpace:

@@ -8,6 +8,7 @@
 #include <math.h>
 
 #include "limits.h"
+#include "machine_equations.h"
 #include "rotation.h"
 
 static const int64_t NS_PER_S = 1000000000;
@@ -63,6 +64,8 @@ static double magnetic_energy(const InnerLoops *self)
 {
     const MotorParameters *p = &self->motor;
     const MotorState *x = &self->shaft;
+    if (p->saturation.active)
+        return p->torque_factor * saturated_energy(&p->saturation, electric_state(x, p));
     return 0.5 * p->torque_factor
            * (p->inductance_d_h * square(x->current_d_a) + p->inductance_q_h * square(x->current_q_a));
 }
@@ -73,7 +76,7 @@ static double consumed(const InnerLoops *self)
     const MotorParameters *p = &self->motor;
     const MotorState *x = &self->shaft;
     double heat = p->torque_factor * p->resistance_ohm * (square(x->current_d_a) + square(x->current_q_a));
-    return heat + motor_torque(p, x->current_d_a, x->current_q_a) * x->speed_rad_s;
+    return heat + electric_torque(p, electric_state(x, p)) * x->speed_rad_s;
 }
 
 /* One inner period of the motor, and of the DC link that it is fed from. */
@@ -112,6 +115,14 @@ static double count_encoder(InnerLoops *self)
     return (state->count - before) * resolution->rad_per_count * self->motor.rate_hz;
 }
 
+/* What the drive takes its currents for, N m. */
+static double believed_torque(const InnerLoops *self, double i_d, double i_q)
+{
+    const Believed *believed = &self->believed;
+    double flux = believed->flux_linkage_wb + believed->saliency_h * i_d;
+    return self->motor.torque_factor * self->motor.pole_pairs * flux * i_q;
+}
+
 /* What the firmware sees at the start of a period: encoder count, filtered speed, dq currents in the frame of
    the encoder's angle, torque. Returns that electrical angle, rad. A rotor whose load has the encoder has one of
    its own, by which the currents turn. */
@@ -144,7 +155,7 @@ static double sample(InnerLoops *self)
     state->current_d_measured_a = turn.cosine * current[0] - turn.sine * current[1];
     state->current_q_measured_a = turn.sine * current[0] + turn.cosine * current[1];
     state->torque_measured_nm =
-        motor_torque(&self->motor, state->current_d_measured_a, state->current_q_measured_a);
+        believed_torque(self, state->current_d_measured_a, state->current_q_measured_a);
     return angle;
 }
 
@@ -159,7 +170,7 @@ static double speed_loop(InnerLoops *self, double limit_nm)
     double change = within(wanted, -step, step);
     state->speed_demand_rad_s += change;
     double error = state->speed_demand_rad_s - state->speed_measured_rad_s;
-    double proportional = p->speed_gain * error + self->motor.inertia_kg_m2 * change * self->motor.rate_hz;
+    double proportional = p->speed_gain * error + self->believed.inertia_kg_m2 * change * self->motor.rate_hz;
     double torque = proportional + state->speed_integral_nm + demand->torque_feed_nm;
     double limited = within(torque, -limit_nm, limit_nm);
     if (torque != limited)
@@ -171,6 +182,12 @@ static double speed_loop(InnerLoops *self, double limit_nm)
     return limited;
 }
 
+static double current_limit(const InnerLoops *self)
+{
+    double current = self->demand.current_max_a;
+    return self->watched.limiting != 0.0 ? least(current, self->protection.continuous_a) : current;
+}
+
 /* The torque to be made, N m, inside every limit; for a torque set-point the state stays as it is.
 
    The speed limit is a proportional controller on the distance to it, so it bounds the torque towards the
@@ -179,10 +196,10 @@ static double torque_demand(InnerLoops *self)
 {
     const Demand *demand = &self->demand;
     LoopState *state = &self->state;
-    double current = demand->current_max_a;
-    if (self->watched.limiting != 0.0)
-        current = least(current, self->protection.continuous_a);
-    double limit = least(demand->torque_max_nm, self->motor.torque_constant_nm_a * current);
+    double current = current_limit(self);
+    double limit = demand->torque_max_nm;
+    if (!self->field.active)
+        limit = least(limit, self->motor.torque_constant_nm_a * current);
     if (demand->control == CONTROL_SPEED) {
         if (state->control != CONTROL_SPEED) {
             state->speed_demand_rad_s = state->speed_measured_rad_s;
@@ -220,23 +237,42 @@ static void advance_controller(const CurrentController *p, double *x, double err
     }
 }
 
-/* PI or state space in d (to zero) and q with decoupling and back-EMF feed-forward; the voltage circle serves d
+/* The largest voltage of the motor, V. */
+static double voltage_circle(const InnerLoops *self)
+{
+    double circle = self->motor.voltage_max_v;
+    if (self->dc_link.active)
+        circle = self->dc_link.circle_share * self->link.volts;
+    return circle * self->inverter.output_share;
+}
+
+/* d and q currents for the torque, A. */
+static Pair wanted_currents(InnerLoops *self, double torque_nm)
+{
+    LoopState *state = &self->state;
+    if (!self->field.active)
+        return (Pair){0.0, torque_nm * self->motor.per_torque_constant};
+    double electrical = self->motor.pole_pairs * state->speed_measured_rad_s;
+    return field_currents(&self->field, &self->believed, torque_nm, current_limit(self), state->weaker_a,
+                          voltage_circle(self), electrical);
+}
+
+/* PI or state space in d and q with decoupling and back-EMF feed-forward; the voltage circle serves d
    first, and what it cuts off is taken back out of the integrals (no wind-up). */
-static void current_loops(InnerLoops *self, double i_q_wanted)
+static void current_loops(InnerLoops *self, Pair wanted)
 {
     const LoopParameters *p = &self->loop;
     LoopState *state = &self->state;
     double i_d = state->current_d_measured_a, i_q = state->current_q_measured_a;
     double electrical = self->motor.pole_pairs * state->speed_measured_rad_s;
-    double error_d = -i_d, error_q = i_q_wanted - i_q;
+    double error_d = wanted[0] - i_d, error_q = wanted[1] - i_q;
     double v_d = axis_voltage(&p->controller_d, state->controller_d, error_d, p->gain_d, state->integral_d);
     double v_q = axis_voltage(&p->controller_q, state->controller_q, error_q, p->gain_q, state->integral_q);
     v_d -= electrical * p->decouple_q_h * i_q;
-    v_q += electrical * (p->decouple_d_h * i_d + self->motor.flux_linkage_wb);
-    double circle = self->motor.voltage_max_v;
-    if (self->dc_link.active)
-        circle = self->dc_link.circle_share * self->link.volts;
-    circle *= self->inverter.output_share;
+    v_q += electrical * (p->decouple_d_h * i_d + self->believed.flux_linkage_wb);
+    double circle = voltage_circle(self);
+    if (self->field.voltage_share > 0.0)
+        state->weaker_a = weaken(&self->field, state->weaker_a, sqrt(v_d * v_d + v_q * v_q), circle, electrical);
     double out_d = within(v_d, -circle, circle);
     double rest_q = sqrt(circle * circle - out_d * out_d);
     double out_q = within(v_q, -rest_q, rest_q);
@@ -256,7 +292,7 @@ static void switch_off(InnerLoops *self)
     self->shaped = (TorquePathState){0};
     state->now.on = state->next.on = 0.0;
     state->next.voltage_d_v = state->next.voltage_q_v = state->integral_d = state->integral_q = 0.0;
-    state->torque_demand_nm = state->rest_ticks = 0.0;
+    state->torque_demand_nm = state->rest_ticks = state->weaker_a = 0.0;
     for (int k = 0; k < CONTROLLER_ORDER_MAX; k++)
         state->controller_d[k] = state->controller_q[k] = 0.0;
 }
@@ -295,7 +331,7 @@ static void run_firmware(InnerLoops *self)
         state->torque_demand_nm = torque;
         if (self->path.active)
             torque = shaped_torque(&self->shaped, &self->path, torque);
-        current_loops(self, torque * self->motor.per_torque_constant);
+        current_loops(self, wanted_currents(self, torque));
         state->next.on = 1.0;
         state->next.angle_rad =
             angle + 1.5 * self->motor.period_s * self->motor.pole_pairs * state->speed_measured_rad_s;

@@ -8,6 +8,7 @@
 #include "actual_values.h"
 #include "dc_link.h"
 #include "encoder.h"
+#include "field.h"
 #include "load_table.h"
 #include "mechanism.h"
 #include "motor.h"
@@ -51,6 +52,7 @@ typedef struct LoopState {
     double count; /* encoder */
     double speed_measured_rad_s, current_d_measured_a, current_q_measured_a, torque_measured_nm;
     double torque_demand_nm, speed_demand_rad_s, speed_integral_nm, rest_ticks;
+    double weaker_a; /* i_d of the weakening */
     double limited; /* a set-point was cut */
     double braked;
     double controller_d[CONTROLLER_ORDER_MAX], controller_q[CONTROLLER_ORDER_MAX];
@@ -79,6 +81,8 @@ typedef struct InnerLoops {
     LoopParameters loop;
     TorquePath path;
     TorquePathState shaped;
+    Believed believed;
+    FieldControl field;
     Resolution resolution; /* of the encoder */
     Encoder encoder;
     EncoderState sensed;

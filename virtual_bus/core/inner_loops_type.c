@@ -299,6 +299,22 @@ static PyObject *call_switch_seen(PyObject *self, PyObject *number)
     return PyBool_FromLong(switch_seen(&loops->switched, &loops->switches, (int)which, now_s));
 }
 
+static PyObject *call_set_least_currents(PyObject *self, PyObject *octets)
+{
+    const double *currents_a;
+    Py_ssize_t count;
+    FieldControl *field = &loops_of(self)->field;
+    if (!doubles(octets, &currents_a, &count))
+        return NULL;
+    if (count < 2 || count > FIELD_POINTS_MAX) {
+        PyErr_Format(PyExc_ValueError, "%zd currents: 2 to %d expected", count, FIELD_POINTS_MAX);
+        return NULL;
+    }
+    memcpy(field->least_d_a, currents_a, (size_t)count * sizeof(double));
+    field->points = (int)count;
+    return nothing();
+}
+
 static PyObject *call_set_controller(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
 {
     LoopParameters *loop = &loops_of(self)->loop;
@@ -378,6 +394,7 @@ static PyMethodDef methods[] = {
     {"set_switch", (PyCFunction)(void (*)(void))call_set_switch, METH_FASTCALL, NULL},
     {"switch_seen", call_switch_seen, METH_O, NULL},
     {"set_load_table", (PyCFunction)(void (*)(void))call_set_load_table, METH_FASTCALL, NULL},
+    {"set_least_currents", call_set_least_currents, METH_O, NULL},
     {"advance_motor", (PyCFunction)(void (*)(void))call_advance_motor, METH_FASTCALL, NULL},
     {"state", call_state, METH_NOARGS, NULL},
     {0},
@@ -407,6 +424,25 @@ static PyMemberDef members[] = {
     PARAMETER(motor, per_inertia),
     PARAMETER(motor, per_torque_constant),
     NUMBER("per_period", motor.rate_hz),
+    {"saturated", T_INT, PLACE(motor.saturation.active), 0, NULL},
+    NUMBER("saturation_per_d", motor.saturation.per_d),
+    NUMBER("saturation_per_q", motor.saturation.per_q),
+    NUMBER("saturation_magnet_a", motor.saturation.magnet_a),
+    NUMBER("saturation_knee_wb2", motor.saturation.knee_wb2),
+    NUMBER("saturation_strength", motor.saturation.strength),
+    NUMBER("believed_flux_wb", believed.flux_linkage_wb),
+    NUMBER("believed_saliency_h", believed.saliency_h),
+    NUMBER("believed_resistance_ohm", believed.resistance_ohm),
+    NUMBER("believed_inductance_q_h", believed.inductance_q_h),
+    NUMBER("believed_inertia_kg_m2", believed.inertia_kg_m2),
+    {"field_active", T_INT, PLACE(field.active), 0, NULL},
+    NUMBER("field_per_step", field.per_step),
+    NUMBER("field_voltage_share", field.voltage_share),
+    NUMBER("field_gain", field.gain),
+    NUMBER("field_speed_min_rad_s", field.speed_min_rad_s),
+    NUMBER("field_floor_a", field.floor_a),
+    NUMBER("field_weakest_a", field.weakest_a),
+    NUMBER("field_torque_per_wb", field.torque_per_wb),
     {"mechanism", T_INT, PLACE(mechanism.active), 0, NULL},
     {"coupled", T_INT, PLACE(mechanism.coupled), 0, NULL},
     {"encoder_on_load", T_INT, PLACE(mechanism.encoder_on_load), 0, NULL},
@@ -541,6 +577,7 @@ static PyMemberDef members[] = {
     PARAMETER(state, torque_demand_nm),
     PARAMETER(state, speed_demand_rad_s),
     PARAMETER(state, rest_ticks),
+    PARAMETER(state, weaker_a),
     PARAMETER(state, limited),
     PARAMETER(state, braked),
     {"control", T_INT, PLACE(state.control), READONLY, NULL},

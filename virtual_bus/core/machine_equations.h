@@ -6,9 +6,29 @@
 #include "motor.h"
 #include "pairs.h"
 
-/* A/s of d and q at a voltage, V, in the rotor's frame and an electrical speed, rad/s; `live`: 0 freezes them. */
+/* Wb/s of d and q; the rest as below. */
+static inline Pair flux_slopes(const MotorParameters *p, Pair voltage, Pair flux, double electrical, double live)
+{
+    Pair rotating = {electrical, -electrical};
+    Pair current = currents_of_flux(&p->saturation, flux);
+    return live * (voltage - p->resistance_ohm * current + rotating * swapped(flux));
+}
+
+/* What the windings make, N m, of currents or fluxes. */
+static inline double electric_torque(const MotorParameters *p, Pair x)
+{
+    if (!p->saturation.active)
+        return motor_torque(p, x[0], x[1]);
+    Pair current = currents_of_flux(&p->saturation, x);
+    return p->torque_factor * p->pole_pairs * (x[0] * current[1] - x[1] * current[0]);
+}
+
+/* A/s of d and q at a voltage, V, in the rotor's frame and an electrical speed, rad/s; `live`: 0 freezes them.
+   Of iron that saturates, Wb/s of fluxes. */
 static inline Pair current_slopes(const MotorParameters *p, Pair voltage, Pair current, double electrical, double live)
 {
+    if (p->saturation.active)
+        return flux_slopes(p, voltage, current, electrical, live);
     Pair crossed = {p->inductance_q_h, p->inductance_d_h}, rotating = {electrical, -electrical};
     Pair magnet = {-0.0, p->flux_linkage_wb}; /* to add -0 changes nothing, not even a sign */
     Pair per_inductance = {p->per_inductance_d, p->per_inductance_q};

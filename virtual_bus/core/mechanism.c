@@ -122,7 +122,7 @@ static __attribute__((noinline)) double placed_nm(const Machine *s, const Phase 
 /* Torques on each mass but friction, N m. */
 ALWAYS_INLINE void pull(const Machine *s, const Phase *phase, const Motion *x, double *net)
 {
-    double made = motor_torque(s->p, x->current[0], x->current[1]), load_nm = s->load_nm;
+    double made = electric_torque(s->p, x->current), load_nm = s->load_nm;
     if (s->m->cogging_points > 0)
         made += cogging_nm(s, x->angle);
     if (s->placed)
@@ -380,7 +380,7 @@ void advance_machine(MotorState *state, LoadSide *load, const MotorParameters *p
     if (s.placed)
         place_load(&s, state, load);
     Motion x = {
-        .current = {state->current_d_a, state->current_q_a},
+        .current = electric_state(state, p),
         .voltage = {voltage.d, voltage.q},
         .speed = {state->speed_rad_s, load->speed_rad_s},
         .twist = load->twist_rad,
@@ -389,8 +389,7 @@ void advance_machine(MotorState *state, LoadSide *load, const MotorParameters *p
         substep(&s, &x, p->step_s);
     double angle = state->angle_rad + x.angle;
     double turns = floor(angle * PER_TURN);
-    state->current_d_a = x.current[0];
-    state->current_q_a = x.current[1];
+    take_electric_state(state, p, x.current);
     state->speed_rad_s = x.speed[ROTOR];
     load->speed_rad_s = mechanism->coupled ? x.speed[LOAD] : x.speed[ROTOR];
     load->twist_rad = mechanism->coupled ? x.twist : 0.0;

@@ -14,7 +14,7 @@ static const double PER_TURN = 1.0 / TURN_RAD;
 static const double BELOW_TURN_RAD = 0x1.921fb54442d17p+2; /* the next double below 2 pi */
 static const double SIXTH = 1.0 / 6.0;
 
-/* What is integrated, of d and q: A, and V that turn in the rotor's frame. */
+/* What is integrated, of d and q: A (or Wb), and V that turn in the rotor's frame. */
 typedef struct Motion {
     Pair current, voltage;
     double speed;
@@ -33,10 +33,35 @@ double motor_torque(const MotorParameters *p, double i_d, double i_q)
     return p->torque_factor * p->pole_pairs * (p->flux_linkage_wb + saliency * i_d) * i_q;
 }
 
+Pair electric_state(const MotorState *state, const MotorParameters *p)
+{
+    Pair current = {state->current_d_a, state->current_q_a};
+    if (!p->saturation.active)
+        return current;
+    if (state->fluxed != 0.0 && current[0] == state->fluxed_d_a && current[1] == state->fluxed_q_a)
+        return (Pair){state->flux_d_wb, state->flux_q_wb};
+    return flux_of_currents(&p->saturation, current);
+}
+
+void take_electric_state(MotorState *state, const MotorParameters *p, Pair x)
+{
+    Pair current = x;
+    if (p->saturation.active) {
+        current = currents_of_flux(&p->saturation, x);
+        state->flux_d_wb = x[0];
+        state->flux_q_wb = x[1];
+        state->fluxed_d_a = current[0];
+        state->fluxed_q_a = current[1];
+        state->fluxed = 1.0;
+    }
+    state->current_d_a = current[0];
+    state->current_q_a = current[1];
+}
+
 static inline Motion slopes(const MotorParameters *p, const Motion *x, const Forcing *f)
 {
     double electrical = p->pole_pairs * x->speed;
-    double made = motor_torque(p, x->current[0], x->current[1]);
+    double made = electric_torque(p, x->current);
     double net = made - p->viscous_friction_nm_s * x->speed - f->resisting;
     return (Motion){
         .current = current_slopes(p, x->voltage, x->current, electrical, f->live),
@@ -88,7 +113,7 @@ static double substep(const MotorParameters *p, Motion *x, Forcing f, double loa
         if (x->speed != 0.0) {
             sign = x->speed > 0.0 ? 1.0 : -1.0;
         } else {
-            double net = motor_torque(p, x->current[0], x->current[1]) - load_nm;
+            double net = electric_torque(p, x->current) - load_nm;
             if (fabs(net) <= friction_nm)
                 break;
             sign = net > 0.0 ? 1.0 : -1.0;
@@ -116,14 +141,13 @@ static double substep(const MotorParameters *p, Motion *x, Forcing f, double loa
 void advance_motor(MotorState *state, const MotorParameters *p, Voltage voltage, double load_nm, double brake_nm)
 {
     double friction_nm = p->coulomb_friction_nm + brake_nm;
-    Motion x = {{state->current_d_a, state->current_q_a}, {voltage.d, voltage.q}, state->speed_rad_s};
+    Motion x = {electric_state(state, p), {voltage.d, voltage.q}, state->speed_rad_s};
     Forcing forcing = {.live = voltage.live, .turning = voltage.turning};
     double angle = state->angle_rad;
     for (int step = 0; step < (int)p->substeps; step++)
         angle += substep(p, &x, forcing, load_nm, friction_nm, p->step_s);
     double turns = floor(angle * PER_TURN);
-    state->current_d_a = x.current[0];
-    state->current_q_a = x.current[1];
+    take_electric_state(state, p, x.current);
     state->speed_rad_s = x.speed;
     /* Rounding may leave the angle a hair outside of its turn. */
     state->angle_rad = least(most(angle - turns * TURN_RAD, 0.0), BELOW_TURN_RAD);

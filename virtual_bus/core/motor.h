@@ -2,10 +2,15 @@
 #ifndef CORE_MOTOR_H
 #define CORE_MOTOR_H
 
+#include "saturation.h"
+
 typedef struct MotorState {
     double current_d_a, current_q_a, speed_rad_s;
     double angle_rad; /* 0 <= angle < 2 pi */
     double turns;     /* whole ones */
+    /* Of iron that saturates: the fluxes, Wb, and the currents that they belong to. */
+    double flux_d_wb, flux_q_wb, fluxed_d_a, fluxed_q_a;
+    double fluxed; /* 0: not told yet */
 } MotorState;
 
 typedef struct MotorParameters {
@@ -15,6 +20,7 @@ typedef struct MotorParameters {
     double torque_constant_nm_a;
     /* Reciprocals: a division costs as much as ten products. */
     double per_inductance_d, per_inductance_q, per_inertia, per_torque_constant, rate_hz;
+    Saturation saturation;
 } MotorParameters;
 
 /* The voltage, V, in the rotor's frame at the start of a period. */
@@ -24,7 +30,10 @@ typedef struct Voltage {
     double turning; /* 1: stands still in the stator's frame, so turns backwards in the rotor's; 0: does not */
 } Voltage;
 
-/* N m */
+/* What is integrated of d and q: currents, A; of iron that saturates fluxes, Wb. */
+Pair electric_state(const MotorState *state, const MotorParameters *p);
+void take_electric_state(MotorState *state, const MotorParameters *p, Pair x);
+/* N m, of constant inductances */
 double motor_torque(const MotorParameters *p, double current_d_a, double current_q_a);
 void advance_motor(MotorState *state, const MotorParameters *p, Voltage voltage, double load_nm, double brake_nm);
 

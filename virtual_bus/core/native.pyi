@@ -56,6 +56,32 @@ class InnerLoops:
     per_inductance_q: float
     per_inertia: float
 
+    # ---- iron that saturates: parameters, of virtual_bus/core/saturation.h ----
+    saturated: int
+    saturation_per_d: float
+    saturation_per_q: float
+    saturation_magnet_a: float
+    saturation_knee_wb2: float
+    saturation_strength: float
+
+    # ---- the motor as the drive believes it, and what it makes of a torque: virtual_bus/core/field.h ----
+    believed_flux_wb: float
+    believed_saliency_h: float
+    believed_resistance_ohm: float
+    believed_inductance_q_h: float
+    believed_inertia_kg_m2: float
+    field_active: int
+    """0: the d current stays at zero."""
+    field_per_step: float
+    field_voltage_share: float
+    field_gain: float
+    field_speed_min_rad_s: float
+    field_floor_a: float
+    field_weakest_a: float
+    field_torque_per_wb: float
+    weaker_a: float
+    """The d current of the weakening, 0 or less."""
+
     # ---- between rotor and load: parameters ----
     mechanism: int
     """0: one rigid shaft, and nothing else of this part counts."""
@@ -349,6 +375,9 @@ class InnerLoops:
         ``values``: doubles, D, then A (n x n) by rows, B, C and the take-back gain (n each). Error:
         ValueError for another count of them, or an order above 8.
         """
+
+    def set_least_currents(self, currents_a: bytes, /) -> None:
+        """The d currents of the least amplitude over torque, from 0 on: doubles. Error: ValueError."""
 
     def set_cogging(self, torques_nm: bytes, /) -> None:
         """Cogging over a turn of the rotor: doubles, the first once more at the end. Error: ValueError."""

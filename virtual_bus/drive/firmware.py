@@ -17,7 +17,8 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final
 
-from servobench.design.motor import PmsmParameters
+from servobench.design.iron import Iron
+from servobench.design.motor import Heat, PmsmParameters
 from servobench.design.statespace import StateSpace
 from servobench.drivers.timebase import NS_PER_S, Instant
 from servobench.virtual_bus.core.native import InnerLoops
@@ -30,6 +31,13 @@ from servobench.virtual_bus.drive.encoder import (
     check_encoder,
     count_rad_s,
     fill_encoder,
+)
+from servobench.virtual_bus.drive.field import (
+    NO_FIELD,
+    FieldOptions,
+    fill_field,
+    speed_without_load_rad_s,
+    torque_limit_nm,
 )
 from servobench.virtual_bus.drive.load_table import LoadTable
 from servobench.virtual_bus.drive.mechanism import fill_mechanism, steps_in
@@ -50,8 +58,11 @@ _OVERSPEED = 2.0
 """The step is chosen for this multiple of the rated speed."""
 
 
-def fill_machine(inner: InnerLoops, motor: PmsmParameters, period_s: float) -> None:
-    """Give ``inner`` the motor and the number of integration steps per ``period_s``.
+def fill_machine(
+    inner: InnerLoops, motor: PmsmParameters, period_s: float, fastest_rad_s: float = 0.0
+) -> None:
+    """Give ``inner`` the motor and the number of integration steps per ``period_s``, up to ``fastest_rad_s``
+    of the shaft or twice its rated speed.
 
     The core integrates the equations of :mod:`servobench.design.motor`, in the rotor's dq frame, with the
     mechanics. Coulomb friction holds a resting shaft until the other torques exceed it. The load torque is an
@@ -72,9 +83,12 @@ def fill_machine(inner: InnerLoops, motor: PmsmParameters, period_s: float) -> N
     inner.per_inductance_q = 1.0 / motor.inductance_q_h
     inner.per_inertia = 1.0 / motor.inertia_kg_m2
     inner.period_s = period_s
-    fastest_rad_s = motor.resistance_ohm / min(motor.inductance_d_h, motor.inductance_q_h)
-    fastest_rad_s += _OVERSPEED * motor.pole_pairs * motor.rated_speed_rad_s
-    substeps = max(1, math.ceil(period_s * fastest_rad_s / _STEP_ANGLE_MAX))
+    per_inductance = 1.0 / min(motor.inductance_d_h, motor.inductance_q_h)
+    if motor.iron is not None:
+        per_inductance = fill_iron(inner, motor, motor.iron)
+    angular_rad_s = motor.resistance_ohm * per_inductance
+    angular_rad_s += motor.pole_pairs * max(_OVERSPEED * motor.rated_speed_rad_s, fastest_rad_s)
+    substeps = max(1, math.ceil(period_s * angular_rad_s / _STEP_ANGLE_MAX))
     if motor.mechanism is not None:
         fill_mechanism(inner, motor, motor.mechanism)
         substeps = max(substeps, steps_in(period_s, motor.mechanism, motor.inertia_kg_m2))
@@ -83,6 +97,16 @@ def fill_machine(inner: InnerLoops, motor: PmsmParameters, period_s: float) -> N
     inner.per_period = 1.0 / period_s
     inner.torque_constant_nm_a = motor.torque_constant_nm_a
     inner.per_torque_constant = 1.0 / motor.torque_constant_nm_a
+
+
+def fill_iron(inner: InnerLoops, motor: PmsmParameters, iron: Iron) -> float:
+    """Give ``inner`` iron that saturates; return the largest slope of a current over its flux, 1/H."""
+    inner.saturated = 1
+    inner.saturation_per_d, inner.saturation_per_q = iron.per_inductance_d, iron.per_inductance_q
+    inner.saturation_magnet_a = motor.flux_linkage_wb * iron.per_inductance_d
+    inner.saturation_knee_wb2, inner.saturation_strength = iron.knee_wb2, iron.strength
+    corners = ((0.0, motor.current_max_a), (motor.current_max_a, 0.0))
+    return max(max(iron.stiffness(*iron.fluxes(*corner))) for corner in corners)
 
 
 _REST_SPEED_RAD_S: Final = 0.5
@@ -135,6 +159,10 @@ class FirmwareParameters:
     """The way of cyclic set-points into the loops."""
     current_sensors: CurrentSensors | None = None
     """None: the currents are known as they are."""
+    field: FieldOptions = NO_FIELD
+    machine: PmsmParameters | None = None
+    """The motor that turns; None: the one that the drive was set for. Both have the same transform and pole
+    pairs."""
 
     def __post_init__(self) -> None:
         """Error: ValueError for a setting with which the loops could not work."""
@@ -177,10 +205,14 @@ class Firmware:
         self.counts_per_rad = parameters.encoder_counts_per_revolution / math.tau
         self.speed_bandwidth_rad_s = math.tau * parameters.speed_bandwidth_hz
         self.inner.rate_hz, self.inner.motion_ticks = parameters.inner_rate_hz, self.motion_ticks
-        fill_machine(self.inner, self._turning(), self.tick_s)
+        self.machine = self._turning()
+        """The motor that turns."""
+        weakens = parameters.field.voltage_share > 0.0
+        fastest_rad_s = speed_without_load_rad_s(motor, parameters.field) if weakens else 0.0
+        fill_machine(self.inner, self.machine, self.tick_s, fastest_rad_s)
         fill_power_stage(
             self.inner,
-            motor,
+            self.machine,
             self.tick_s,
             parameters.supply,
             parameters.protection,
@@ -193,11 +225,17 @@ class Firmware:
         self._set_limits()
 
     def _turning(self) -> PmsmParameters:
-        """The motor as it is; gains and decoupling go by the motor as the drive knows it."""
-        motor, parameters = self.motor, self.parameters
+        """The motor as it is; all that the drive reckons goes by the motor as it knows it."""
+        parameters = self.parameters
+        motor = parameters.machine or self.motor
+        if (motor.transform, motor.pole_pairs) != (self.motor.transform, self.motor.pole_pairs):
+            known = f"{self.motor.pole_pairs} pole pairs, {self.motor.transform.value}"
+            raise ValueError(f"{motor.name}: {known} expected, as the drive was set for")
+        heat = motor.heat or Heat(1.0, 1.0)
         return replace(
             motor,
-            resistance_ohm=motor.resistance_ohm * parameters.resistance_factor,
+            flux_linkage_wb=motor.flux_linkage_wb * heat.flux_factor,
+            resistance_ohm=motor.resistance_ohm * parameters.resistance_factor * heat.resistance_factor,
             inductance_d_h=motor.inductance_d_h * parameters.inductance_factor,
             inductance_q_h=motor.inductance_q_h * parameters.inductance_factor,
         )
@@ -216,6 +254,7 @@ class Firmware:
         inner.speed_gain = speed_alpha * motor.inertia_kg_m2
         inner.speed_integral_gain = speed_alpha * inner.speed_gain / 4.0
         inner.speed_limit_gain = math.tau * parameters.speed_limit_bandwidth_hz * motor.inertia_kg_m2
+        fill_field(inner, motor, parameters.field, alpha)
         counts = parameters.encoder_counts_per_revolution
         fill_encoder(inner, counts, period_s, parameters.encoder, parameters.speed)
         flicker_rad_s = _COUNTS_AT_REST * count_rad_s(counts, period_s, parameters.speed)
@@ -224,7 +263,12 @@ class Firmware:
     def _set_limits(self) -> None:
         brake = self.parameters.brake_torque_nm
         self.inner.brake_nm = 2.0 * self.motor.rated_torque_nm if brake is None else brake
-        self.limit(self.motor.torque_max_nm, self.motor.current_max_a, math.inf)
+        self.limit(self.torque_max_nm, self.motor.current_max_a, math.inf)
+
+    @property
+    def torque_max_nm(self) -> float:
+        """The largest torque that it can ask for."""
+        return torque_limit_nm(self.motor, self.parameters.field)
 
     def start(self, now: Instant) -> None:
         """Power-on: the inner grid starts here. Call it before anything else."""
@@ -274,7 +318,7 @@ class Firmware:
 
     def brake_shaft(self, torque_nm: float) -> None:
         """Set the torque of an outside brake against the shaft's motion from the next tick on, N m."""
-        self.inner.coulomb_friction_nm = self.motor.coulomb_friction_nm + torque_nm
+        self.inner.coulomb_friction_nm = self.machine.coulomb_friction_nm + torque_nm
 
     def bear(self, load: LoadTable | None, held: bool = False, begins_at: Instant | None = None) -> None:
         """Bear a load torque over time from the next tick on, its time 0 at ``begins_at``; None: that of the
@@ -293,9 +337,9 @@ class Firmware:
     def scale_supply(self, share: float) -> float:
         """Set the source to that share of its voltage from the next tick on; return it, V."""
         inner, supply = self.inner, self.parameters.supply
-        inner.source_v = share * (self.motor.dc_bus_voltage_v if supply is None else supply.voltage_v)
+        inner.source_v = share * (self.machine.dc_bus_voltage_v if supply is None else supply.voltage_v)
         if supply is None:
-            inner.voltage_max_v = share * self.motor.voltage_max_v
+            inner.voltage_max_v = share * self.machine.voltage_max_v
         return inner.source_v
 
     @property

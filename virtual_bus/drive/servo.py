@@ -271,7 +271,7 @@ class ServoApplication(Application):
     def _take_limits(self) -> None:
         objects, motor = self.objects, self.motor
         self.firmware.limit(
-            min(objects.max_torque.value * objects.torque_unit_nm, motor.torque_max_nm),
+            min(objects.max_torque.value * objects.torque_unit_nm, self.firmware.torque_max_nm),
             min(objects.max_current.value * objects.current_unit_a, motor.current_max_a),
             objects.max_motor_speed.value * RAD_S_PER_RPM,
         )

@@ -24,6 +24,7 @@ from servobench.virtual_bus.device.device_options import (
     unmapped_rpdos,
     unmapped_tpdos,
 )
+from servobench.virtual_bus.drive.field import speed_without_load_rad_s
 from servobench.virtual_bus.drive.firmware import FirmwareParameters
 from servobench.virtual_bus.drive.load_object import SIMULATED_DRIVE
 from servobench.virtual_bus.drive.load_table import LoadTable
@@ -102,7 +103,7 @@ class DriveParameters(FirmwareParameters):
         """The largest speed that the drive can be set to."""
         if self.speed_max_rad_s is not None:
             return self.speed_max_rad_s
-        return motor.voltage_max_v / (motor.pole_pairs * motor.flux_linkage_wb)
+        return speed_without_load_rad_s(motor, self.field)
 
 
 def _ns(value_us: float) -> int:

@@ -1,16 +1,21 @@
-"""Draws what a motor file means: torque over speed, friction, the coupling's frequency response, cogging."""
+"""Draws what a motor file means: torque over speed, saturation, friction, the coupling's frequency response,
+cogging."""
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from servobench.design.field import weakened_speed, weakened_torque_limit
 from servobench.design.mechanism import Coupling, cogging_nm, friction_nm, speed_responses
 from servobench.design.motor import PmsmParameters, speed_limit, torque_limit
 from servobench.drivers.rotation import RAD_S_PER_RPM, RPM_PER_RAD_S
 from servobench.hil.studies.drawing import picture
+from servobench.virtual_bus.drive.field import NO_FIELD, FieldOptions
 
 _PANEL = (7.0, 4.2)
 """Width and height of each, inches."""
@@ -18,9 +23,13 @@ _FRICTION_SPEEDS = 8.0
 """The friction map reaches to so many times the Stribeck speed."""
 
 
-def draw_motor(motor: PmsmParameters, path: Path) -> None:
-    """One panel below the other, of what the motor has; :mod:`servobench.hil.studies.drawing` for errors."""
-    panels: list[Callable[[Any, PmsmParameters], None]] = [_draw_torque]
+def draw_motor(motor: PmsmParameters, path: Path, field: FieldOptions = NO_FIELD) -> None:
+    """One panel below the other, of what the motor has; :mod:`servobench.hil.studies.drawing` for errors.
+
+    ``field``: what its drive does besides a d current of zero.
+    """
+    panels: list[Callable[[Any, PmsmParameters], None]] = [partial(_draw_torque, field=field)]
+    panels += [_draw_iron] if motor.iron is not None else []
     mechanism = motor.mechanism
     if mechanism is not None:
         panels += [_draw_friction] if mechanism.friction is not None else []
@@ -33,13 +42,31 @@ def draw_motor(motor: PmsmParameters, path: Path) -> None:
         axes[0, 0].set_title(motor.name)
 
 
-def _draw_torque(axes: Any, motor: PmsmParameters) -> None:
+def _draw_torque(axes: Any, motor: PmsmParameters, field: FieldOptions) -> None:
     speed = np.linspace(0.0, 1.02 * speed_limit(motor, 0.0), 600)
     axes.plot(speed * RPM_PER_RAD_S, torque_limit(motor, speed), label="peak, i_d = 0")
+    if field.voltage_share:
+        weaker = replace(motor, dc_bus_voltage_v=field.voltage_share * motor.dc_bus_voltage_v)
+        speed = np.linspace(0.0, 1.02 * weakened_speed(weaker), 300)
+        limit = weakened_torque_limit(weaker, speed)
+        if not field.least_current:
+            limit = np.minimum(limit, motor.torque_max_nm)
+        axes.plot(speed * RPM_PER_RAD_S, limit, label="peak, weakened field")
     axes.axhline(motor.rated_torque_nm, color="0.5", linestyle="--", label="rated torque")
     axes.plot(motor.rated_speed_rad_s * RPM_PER_RAD_S, motor.rated_torque_nm, "o", label="rated point")
     link = f"speed, r/min (link at {motor.dc_bus_voltage_v:g} V)"
     axes.set(xlabel=link, ylabel="torque, N m", xlim=(0, None), ylim=(0, None))
+    axes.legend(frameon=False)
+
+
+def _draw_iron(axes: Any, motor: PmsmParameters) -> None:
+    assert motor.iron is not None
+    current = np.linspace(0.0, motor.current_max_a, 300)
+    made = [motor.iron.fluxes(0.0, float(each))[0] / motor.flux_linkage_wb for each in current]
+    linear = motor.torque_constant_nm_a * current
+    axes.plot(current, linear, ":", label="as the drive believes")
+    axes.plot(current, linear * np.asarray(made), label="made")
+    axes.set(xlabel="q current, dq A", ylabel="torque, N m", xlim=(0, None), ylim=(0, None))
     axes.legend(frameon=False)
 
 

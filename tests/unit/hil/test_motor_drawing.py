@@ -75,6 +75,23 @@ def test_torque_over_speed_is_at_the_link_of_the_drive(tmp_path: Path, panels: l
     assert line(panels[2].axes[0], "peak, i_d = 0")[1][0] == pytest.approx(peak_nm, rel=1e-4)
 
 
+def test_iron_and_a_weakened_field_are_drawn(tmp_path: Path, panels: list[Any]) -> None:
+    text = (EXAMPLES / "motors" / "ling2012.toml").read_text()
+    (tmp_path / "iron.toml").write_text(text + "\n[saturation]\ntorque_percent = 90.0\n")
+    (tmp_path / "drive.toml").write_text("[field]\nweakening = true\nvoltage_percent = 100.0\n")
+    shown(tmp_path, str(tmp_path / "iron.toml"), "--like", str(tmp_path / "drive.toml"))
+    over_speed, over_current = panels[0].axes
+    motor = load_motor(tmp_path / "iron.toml").parameters
+    rpm, weakened = line(over_speed, "peak, weakened field")
+    assert rpm[np.flatnonzero(weakened > 0.01)[-1]] > 1.5 * speed_limit(motor, 0.0) * RPM_PER_RAD_S
+    assert float(np.max(weakened)) == pytest.approx(motor.torque_max_nm)
+    amperes, made = line(over_current, "made")
+    believed = line(over_current, "as the drive believes")[1]
+    assert made[-1] == pytest.approx(0.9 * believed[-1])
+    linear = amperes < 2.0 * motor.rated_current_a
+    assert made[linear] == pytest.approx(believed[linear])
+
+
 def test_a_motor_alone_has_one_panel_at_its_own_link(tmp_path: Path, panels: list[Any]) -> None:
     shown(tmp_path, str(EXAMPLES / "motors" / "ling2012.toml"))
     (axes,) = panels[0].axes

@@ -11,7 +11,8 @@ from servobench.design.motor import Transform, motor_figures
 from servobench.drivers.errors import BadInput
 from servobench.hil.cli import app
 from servobench.hil.configuration.config_files import BadInputs
-from servobench.hil.configuration.motor_file import LING2012, MotorFile, load_motor, speed_max_rpm
+from servobench.hil.configuration.motor_file import LING2012, MotorFile, load_motor
+from servobench.virtual_bus.drive.field import NO_FIELD, speed_without_load_rad_s
 
 EXAMPLES = Path(__file__).parents[3] / "examples" / "motors"
 
@@ -46,7 +47,7 @@ def test_azaiz2007_is_the_section_of_the_paper() -> None:
 
 def test_speed_max_is_where_the_back_emf_meets_the_voltage_circle() -> None:
     motor = LING2012.parameters
-    speed_rad_s = speed_max_rpm(motor) * math.tau / 60
+    speed_rad_s = speed_without_load_rad_s(motor, NO_FIELD)
     assert motor.pole_pairs * speed_rad_s * motor.flux_linkage_wb == pytest.approx(300 / math.sqrt(2))
 
 
