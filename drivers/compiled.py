@@ -26,6 +26,8 @@ MANIFEST = "drivers/compiled.json"
 (file -> digest) and the groups ``against`` which it is compiled; or ``lack``, why nothing is compiled."""
 LIBRARIES = "*/compiled_*__mypyc*"
 SUFFIX = EXTENSION_SUFFIXES[0]
+_SHOWN_MAX = 3
+"""Of the files that were edited."""
 PURE = "SERVOBENCH_PURE"
 """Environment variable: run everything from its sources."""
 
@@ -81,10 +83,16 @@ def _compare(root: Path, groups: dict[str, dict[str, Any]]) -> Build:
     return Build(
         compiled=fresh,
         held_back=tuple(name for name in groups if name in stale),
-        why=f"edited since it was compiled: {', '.join(files)}" if files else "",
+        why=f"edited since it was compiled: {_some(files)}" if files else "",
         sources=frozenset(file for name in fresh for file in groups[name]["sources"]),
         unusable=bool(stale),
     )
+
+
+def _some(files: list[str]) -> str:
+    """The first of them: after a change of branch all would fill a screen before every command."""
+    more = len(files) - _SHOWN_MAX
+    return ", ".join(files[:_SHOWN_MAX]) + (f" and {more} more" if more > 0 else "")
 
 
 class SourcesOf:

@@ -22,7 +22,7 @@ from servobench.hil.recording.page_series import TIMELINE
 from servobench.hil.recording.plot_scale import LANE_GUTTER
 from servobench.hil.recording.serving import choose_ports, comes_to_listen, free_port, serve_file
 from servobench.hil.rows.recording_plan import LOOPBACK, ServedPorts
-from servobench.hil.rows.run_files import CAMPAIGN_PAGE, RERUN_FILE
+from servobench.hil.rows.run_files import CAMPAIGN_PAGE, RERUN_FILE, not_a_recording
 from servobench.hil.rows.seal import seal_of
 from servobench.virtual_bus.child_python import python_command, python_environment
 
@@ -161,6 +161,8 @@ def page_file(run: Path, *, unsealed: bool = False, tell_seal: Callable[[str], N
         return commissioning_page(run)
     if (run / CAMPAIGN_PAGE).is_file():
         return run / CAMPAIGN_PAGE
+    if run.is_file() and run.suffix != ".rrd":
+        raise not_a_recording(run, RERUN_FILE)
     recording = run / RERUN_FILE if run.is_dir() else run
     if not recording.is_file():
         expected = (

@@ -65,6 +65,14 @@ def test_an_edit_takes_back_its_group_and_all_compiled_against_it(
     assert "\n" not in told
 
 
+def test_of_many_edits_the_first_are_named_and_the_others_counted(built: Path) -> None:
+    for file in SOURCES.values():
+        (built / file).write_text("x = 2\n")
+    told = notice(look(built)) or ""
+    assert [file for file in SOURCES.values() if file in told] == list(SOURCES.values())[:3]
+    assert "and 1 more; " in told
+
+
 def test_a_source_that_went_away_takes_back_its_group(built: Path) -> None:
     (built / DEVICE).unlink()
     assert look(built).held_back == ("device",)

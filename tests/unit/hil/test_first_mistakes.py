@@ -28,7 +28,7 @@ def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
             "expected the class too: axis1=controller.py:NAME",
         ),
         ("simulate --bus hub:x --node 1 --faults bench.toml", "found 'a bench file', expected a fault plan"),
-        ("view bench.toml", "expected the folder of a recording"),
+        ("view bench.toml", "bench.toml: found 'a file', expected the folder of a recording"),
         ("trace .", "found 'no records.arrow', expected the folder of a recording"),
         ("review bench.toml", "bench.toml: found 'a file', expected the folder of a recording"),
         (
