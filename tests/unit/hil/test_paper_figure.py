@@ -1,6 +1,8 @@
 """A run as a figure for print: which lines stand in which plot, in which unit, and within which limits."""
 
+import re
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +16,16 @@ from servobench.drivers.rotation import RPM_PER_RAD_S
 from servobench.hil.loop.cycle_record import NOTHING
 from servobench.hil.recorded.paper import histogram_figure, paper_figure, save_figure, svg_text
 from servobench.hil.recorded.recorded_run import RunSignals, signals_of
+from servobench.hil.reviewing.html_page import html_page
 from servobench.hil.rows.records import Rows
 from servobench.hil.verdict.metrics import VerdictLimits
+from tests.colour_sight import apart
 from tests.unit.hil.made_runs import made_run
 from tests.unit.hil.row_tools import plain_rows
 
 CYCLES = 600
-GREY, RED, FIRST, SECOND = "#7a7f87", "#c8442c", "#1f5fa8", "#2e7d32"
+GREY, RED, FIRST, SECOND = "#8e9094", "#b92308", "#1f5fa8", "#fcaa00"
+THIRD, FOURTH = "#543afa", "#000000"
 
 
 def rows(axes: int = 1) -> Rows:
@@ -115,7 +120,20 @@ def test_several_axes_are_told_apart_and_what_was_asked_is_named_once() -> None:
 
 def test_a_fifth_axis_has_the_colour_of_the_first() -> None:
     _, error, *_ = paper_figure(signals(5)).axes
-    assert [line[1] for line in lines(error)] == [FIRST, SECOND, "#c2571a", "#6a4fa0", FIRST]
+    assert [line[1] for line in lines(error)] == [FIRST, SECOND, THIRD, FOURTH, FIRST]
+
+
+def test_its_colours_are_told_apart_by_the_colour_blind() -> None:
+    """So are the verdict and the limits of a page."""
+    colors = [as_rgb(each) for each in (GREY, RED, FIRST, SECOND, THIRD, FOURTH)]
+    assert min(apart(one, other) for one, other in combinations(colors, 2)) >= 40
+    page = html_page("", [])
+    for good, bad in zip(*(re.findall(rf"--{name}:(#\w+)", page) for name in ("good", "bad")), strict=True):
+        assert apart(as_rgb(good), as_rgb(bad)) >= 40
+
+
+def as_rgb(color: str) -> tuple[int, ...]:
+    return tuple(bytes.fromhex(color[1:]))
 
 
 @pytest.mark.parametrize(("percent", "most"), [(None, 3.0), (1.0, 3.0), (3.0, 3.0), (5.0, 5.0)])
