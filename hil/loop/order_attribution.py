@@ -304,7 +304,7 @@ class OrderAttribution:
             self._ask(middle_of(self._strays, self._period))
             self._in_question.weigh(reading.received_at)
             self._strays.clear()
-        self._in_question.stray()
+        self._in_question.stray(reading.received_at, differs=probing)
         if mark.number > self._answered:
             self._pass_over(mark, reading.received_at)
             self._answered = mark.number
@@ -319,7 +319,7 @@ class OrderAttribution:
         self._answered = mark.number
         if not self._sure:
             self._in_question.weigh(reading.received_at)
-            self._in_question.stray()
+            self._in_question.stray(reading.received_at)
         self._in_question.odd += (behind := self._open.may_be_taken_for(mark)) and not copy
         if not (self._sure or self._beyond or copy):
             self._unsure.add((mark.sequence, reading.received_at, self._error_of(age)), age, behind)

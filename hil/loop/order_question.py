@@ -50,6 +50,9 @@ LOOKS_MIN: Final = 3
 WIDE_PARTS: Final = 8
 """Where delays spread over such a part of a period a reading may follow a probe by chance; hardly two do."""
 
+OUTWEIGHED: Final = 6
+"""So many readings that follow a probe, for each period that delays spread over, outweigh one that does not: a
+quarter of a period late, it shows by those alone that come sooner than usual, and others follow by chance."""
 COPIES_MAX: Final = 2
 """SYNCs without a reading that copies of others may hide in one question: while a shaft stands still all
 readings look like copies."""
@@ -165,10 +168,18 @@ class OrderQuestion:
             self._shares.add(since.run)
         return False
 
-    def stray(self) -> None:
-        """A reading came that is not weighed."""
-        for _, since in self._misses:
+    def stray(self, received_at: Instant, *, differs: bool = False) -> None:
+        """A reading came that is not weighed. It ``differs`` from those that follow their probe, or does so
+        as it comes behind a probe as late as delays have grown if none was lost."""
+        marks = self._syncs.marks
+        probes = [mark for mark in marks if mark.number in self._probes and mark.on_bus_at is not None]
+        for answered, since in self._misses:
             since.stray()
+            grown = since.run * self._period
+            since.differed += differs or any(
+                mark.number > answered and self._usual.holds(received_at - (mark.on_bus_at or 0) - grown)
+                for mark in probes
+            )
 
     def settled_until(self) -> int:
         """Number of the SYNC up to whose reading all are placed right though more have been missing since;
@@ -197,7 +208,9 @@ class OrderQuestion:
                 for miss in self._misses:
                     miss[1].followed += 1
         else:
-            self.stray()
+            for _, since in self._misses:
+                since.stray()
+                since.differed += number in self._probes
 
     def probed(self, number: int, pause: int) -> None:
         """SYNC ``number`` has gone out late; none of the next ``pause`` is to."""
@@ -312,7 +325,9 @@ class OrderQuestion:
         answered, since = miss
         few = 1 if WIDE_PARTS * self._usual.spread < self._period else 2
         probed = sum(number > answered for number in self._probes)
-        return bool(self._probes) and since.followed < max(few, probed // 2)
+        weight = max(1, OUTWEIGHED * self._usual.spread // self._period)
+        least = max(few, probed // 2, weight * since.differed)
+        return bool(self._probes) and since.followed < least
 
     @property
     def _alike_least(self) -> int:

@@ -254,6 +254,8 @@ class Resemblance:
         self._low = self._high = self._count = self._others = 0
         self.followed = 0
         """Probes that readings of a usual delay have followed."""
+        self.differed = 0
+        """Readings that came at such an instant as follows no probe."""
         self.too_soon = 0
         """Readings that would have come sooner than their frame can."""
 
