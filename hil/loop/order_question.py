@@ -9,7 +9,7 @@ from typing import Final
 
 from servobench.drivers.timebase import Duration, Instant
 from servobench.hil.loop.attribution import HELD_MAX
-from servobench.hil.loop.order_evidence import WATCHED, OrderEvidence
+from servobench.hil.loop.order_evidence import LAGS_MAX, WATCHED, OrderEvidence
 from servobench.hil.loop.syncs import SyncLog
 from servobench.hil.loop.usual_delays import (
     ALIKE_MIN,
@@ -51,8 +51,9 @@ WIDE_PARTS: Final = 8
 """Where delays spread over such a part of a period a reading may follow a probe by chance; hardly two do."""
 
 OUTWEIGHED: Final = 6
-"""So many readings that follow a probe, for each period that delays spread over, outweigh one that does not: a
-quarter of a period late, it shows by those alone that come sooner than usual, and others follow by chance."""
+"""So many readings that follow a probe, for each period that delays spread over, outweigh one that does not:
+it is a quarter of a period late, which those alone show that come sooner then than usual."""
+
 COPIES_MAX: Final = 2
 """SYNCs without a reading that copies of others may hide in one question: while a shaft stands still all
 readings look like copies."""
@@ -265,6 +266,8 @@ class OrderQuestion:
 
         ``beyond``: no row waits for the answer. ``untidy``: frames are held up now and then.
         """
+        if self._usual.doubted:  # and so is what they are counted from
+            lags = LAGS_MAX
         evidence, phase = self.evidence, self.phase_known
         untidy = untidy or (self.odd > 0 and len(evidence) < EVIDENCE_UNUSUAL)
         due = self.asked <= PROBE_AFTER or self.asked % (WATCHED // 4 if beyond else 2) == 0
@@ -284,7 +287,8 @@ class OrderQuestion:
         """Return whether readings of an unknown delay show by their number which SYNCs they answer: each SYNC
         has had one, in its own period, since the last of which that was certain. Had they grown by a period,
         one SYNC would be without. Delays that spread over a period do not keep to theirs."""
-        if lags > 1 or self.phase_known or self._usual.spread >= self._period:
+        usual = self._usual
+        if lags > 1 or self.phase_known or usual.doubted or usual.spread >= self._period:
             return False
         return self.sooner() == 0
 

@@ -219,14 +219,14 @@ class StampAttribution:
     def _exonerate(self, placed: list[tuple[Suspect, SyncMark]]) -> bool:
         """Suspects that lie where they were placed, alone there, are certain after all; whether all do."""
         guesses = [suspect.guess for suspect in self._suspects]
-        stamped_ns = 2 * self.stamps.match_ns + self._residuals.spread
+        stamped_ns = self.stamps.match_ns + self._residuals.spread
         proved = 0
         for suspect, mark in placed:
             if suspect.guess == mark.sequence and guesses.count(suspect.guess) == 1:
-                assert mark.on_bus_at is not None
-                error_ns = stamped_ns + self._case.unstamped_ns(suspect.received_at - mark.on_bus_at)
+                delay = suspect.received_at - (mark.on_bus_at or 0)
+                late = max(self.stamps.match_ns, self._case.hidden_ns(delay))
                 self._case.answer(mark, suspect.device_ns)
-                row = suspect.guess, suspect.received_at, error_ns
+                row = suspect.guess, suspect.received_at, stamped_ns + late + self._case.unstamped_ns(delay)
                 if self.doubt.open:
                     self.doubt.rows.append(row)
                 else:

@@ -105,6 +105,11 @@ class UsualDelays:
         return self.apart and self._others_are_rare
 
     @property
+    def doubted(self) -> bool:
+        """Whether the place of most of the last readings was in doubt."""
+        return 2.0 * self._unsure >= 1.0
+
+    @property
     def narrow(self) -> bool:
         """True if one of another delay hardly looks usual: they spread over half a period at the most."""
         return 2 * self.parts * self.spread <= self._period
@@ -130,7 +135,7 @@ class UsualDelays:
         self._unusual -= self._unusual / (RARE + self._told)
         self._placed += certain and self._placed < FIRST
         known = self._others_are_rare and (self._placed >= FIRST or self._may_be_all)
-        return certain and known and (self.narrow or 2.0 * self._unsure < 1.0)
+        return certain and known and (self.narrow or not self.doubted)
 
     def stray(self, *, copy: bool) -> None:
         """A reading came at an unusual delay, a ``copy`` of another perhaps."""
