@@ -36,9 +36,8 @@ class OrderAttribution:
         self._sure, self._beyond = True, False  # beyond: the question has had no answer so far
         self._unsure = Unconfirmed(self.question, self._usual)
         self._strays: list[int] = []  # of those in a row, how long they came after the SYNC before them
-        self._strays_known = 0  # so many of them have their certain place
         self._held: tuple[int, Instant, int] | None = None  # a row, if the next reading is to show it
-        self._untidy = 0  # readings for which frames are still expected to come twice or be held up
+        self._strays_known = self._untidy = 0  # how many are placed; readings while frames may be held up
 
     @property
     def wants_probe(self) -> bool:
@@ -97,8 +96,7 @@ class OrderAttribution:
         if self._kept_order.leads and not usual.leads:
             return self._in_order(reading, row)
         if not usually:
-            mark = self._followed(received_at)
-            if mark is None:
+            if (mark := self._followed(received_at)) is None:
                 return self._stray(reading, copy)
         elif mark is None or not usual.holds(delay) or self._comes_sooner(mark, received_at, copy):
             return self._stray(reading, copy)
@@ -118,8 +116,7 @@ class OrderAttribution:
         self._held = None
         self.question.open = not (self._sure or self._beyond)
         if mark.sequence == SURPLUS:
-            self.health.unmatched += 1
-            return None
+            return self._guess(reading, None)
         assert mark.on_bus_at is not None
         delay = received_at - mark.on_bus_at
         copy = copy and self._untidy > 0
@@ -214,7 +211,6 @@ class OrderAttribution:
             if by_count:
                 self._unsure.confirm(NEVER, untidy=self._untidy > 0)
                 self.question.cleared = True
-            self._unsure.clear()
             self._untidy = 0  # what seemed to be held up was of the new delay
         elif not self._beyond:
             self._in_question.odd += self._untidy > 0 and self._unsure.behind
@@ -284,10 +280,13 @@ class OrderAttribution:
             self._strays_known = self._strays_known + 1 if alone else 0
         if alone:
             self._answered = self._known = mark.number
+            before = self._mark(mark.number - 1)  # it may be of that, and the last of this one
             if len(self._strays) >= STRAYS_MAX <= self._strays_known:
                 self._usual.begin(self._strays)
                 self._strays.clear()
-            return self._sample(reading, mark, certain=True)
+            if overtook := self._usual.holds(reading.received_at - (before.on_bus_at or 0)):
+                self._doubt(before)
+            return self._sample(reading, mark, certain=not overtook)
         self._usual.stray(copy=copy)
         if next_one and self._in_question.phase_known and len(self._strays) < STRAYS_MAX:
             return self._count_in(reading, mark, age, behind_unheard or (copy and self._untidy > 0))
@@ -341,11 +340,12 @@ class OrderAttribution:
         return later is not None and self._is_only_one(later, copy)
 
     def _is_held(self, mark: SyncMark, age: int, copy: bool) -> bool:
-        """Return whether a reading is that of the SYNC before ``mark``, unless ``mark`` has none of its own:
-        no reading comes as soon after its SYNC as it would after that."""
+        """Return whether a reading is that of the SYNC before ``mark``: none comes as soon after its own."""
         if not self._sure or copy or mark.number != self._answered + 2 or age >= self._usual.least:
             return False
-        return not self._open.may_come(mark) and self._mark(mark.number - 1).on_bus_at is not None
+        if self._usual.nearly_holds(age) or self._open.may_come(mark):  # frames of other axes may be missing
+            return False
+        return self._mark(mark.number - 1).on_bus_at is not None
 
     def _hold(self, reading: Reading, mark: SyncMark) -> Sample | None:
         """It was held up. If the next one does not come, it may be one before, or that of ``mark``."""
