@@ -375,7 +375,7 @@ class OrderAttribution:
         certain, no reading is missing, and no delay has grown. Which one is whose is not told by that where
         one that is held up may well look usual."""
         mark, question = self._open.take(latest), self._in_question
-        tells_nothing = self._sure or copy or question.may_be_others
+        tells_nothing = self._sure or copy or question.may_be_others or self._usual.doubted
         if mark is not None and not tells_nothing and self._open.since(self._known) == 0:
             if not self._usual.narrow or question.strays_often:
                 self._unsure.clear()
