@@ -280,13 +280,10 @@ class OrderAttribution:
             self._strays_known = self._strays_known + 1 if alone else 0
         if alone:
             self._answered = self._known = mark.number
-            before = self._mark(mark.number - 1)  # it may be of that, and the last of this one
             if len(self._strays) >= STRAYS_MAX <= self._strays_known:
                 self._usual.begin(self._strays)
                 self._strays.clear()
-            if overtook := self._usual.holds(reading.received_at - (before.on_bus_at or 0)):
-                self._doubt(before)
-            return self._sample(reading, mark, certain=not overtook)
+            return self._sample(reading, mark, certain=True)
         self._usual.stray(copy=copy)
         if next_one and self._in_question.phase_known and len(self._strays) < STRAYS_MAX:
             return self._count_in(reading, mark, age, behind_unheard or (copy and self._untidy > 0))
