@@ -106,7 +106,7 @@ class UsualDelays:
 
     @property
     def doubted(self) -> bool:
-        """Whether the place of most of the last readings was in doubt."""
+        """Return whether the place of most of the last readings was in doubt."""
         return 2.0 * self._unsure >= 1.0
 
     @property
