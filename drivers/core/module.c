@@ -1,6 +1,7 @@
 /* The module servobench.drivers.core.native; native.pyi says what it holds. */
 #include "inlet.h"
 #include "objects.h"
+#include "set_point_frame.h"
 #include "types.h"
 
 static PyMethodDef functions[] = {
@@ -44,6 +45,7 @@ static bool fill(PyObject *module)
            && add_type(module, "LastStatusword", &last_statusword_spec, &last_statusword_type)
            && add_type(module, "Reception", &reception_spec, &reception_type)
            && add_type(module, "Inlet", &inlet_spec, &inlet_type)
+           && add_type(module, "SetPointFrame", &set_point_frame_spec, &set_point_frame_type)
            && PyModule_AddIntConstant(module, "TOLD_THE_SAME", TOLD_THE_SAME) == 0
            && PyModule_AddStringConstant(module, "SOURCES_DIGEST", SOURCES_DIGEST) == 0;
 }

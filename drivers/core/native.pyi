@@ -330,3 +330,30 @@ class Inlet:
 
     def take_kept(self) -> list[tuple[bytes, Instant]]:
         """Return those kept since the last call, each with its instant."""
+
+class SetPointFrame:
+    """An RPDO with its present values, and the commands sent in it that wait for their echoes: at most 256,
+    and 16 that later ones have overtaken. A handler of a Pump's echoes, which it calls without Python."""
+
+    def __init__(self, link: Link, can_id: int, fields: tuple[tuple[int, int], ...], /) -> None:
+        """``fields``: octets and kind of each value: 0 an unsigned, 1 a signed whole number, 2 a real one, 3
+        octets. All are 0 at first. Error: ValueError for more than eight octets."""
+
+    def hold(self, place: int, value: float | bytes, /) -> None:
+        """Put a value in force. Error: ValueError for one that the field does not hold."""
+
+    def send(self) -> Instant:
+        """Send the frame; errors and result as of :meth:`Link.send`."""
+
+    def await_echo(self, command: object, /) -> None:
+        """Note that the frame just sent was for ``command``, which has ``on_bus_at``, ``maybe_at`` and
+        ``unsent``."""
+
+    def given_up(self, handed_at: Instant, /) -> None:
+        """Note that the frame handed over at that instant was never sent: ``unsent``."""
+
+    def __call__(self, data: bytes, at: Instant, handed_at: Instant, /) -> None:
+        """Match an echo: ``on_bus_at`` of its command is ``at``. Without an instant of hand-over it is of
+        the first command with such data since the last one seen; or, if the bus let frames overtake each
+        other, to the last one before. It may also belong to others waiting with the same data: their
+        ``maybe_at``, the first such."""

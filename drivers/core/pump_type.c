@@ -3,6 +3,7 @@
 
 #include "inlet.h"
 #include "link.h"
+#include "set_point_frame.h"
 #include "types.h"
 
 enum { ARGUMENT_COUNT = 7 };
@@ -90,12 +91,23 @@ static bool call_at(PyObject *callable, int64_t at)
     return well;
 }
 
+/* The echoes of an RPDO, and a TPDO's inlet, are C: no object is made of an instant. */
+static bool dispatch_own_pdo(PyObject *handler, const FrameObject *frame, int64_t at)
+{
+    SetPointFrameObject *sent = (SetPointFrameObject *)another(handler);
+    bool well = take_echo(&sent->awaited, frame->data, at, frame->handed_at);
+    Py_DecRef((PyObject *)sent);
+    return well;
+}
+
 /* An echo without a handler goes nowhere. */
 static bool dispatch_echo(PumpObject *self, const FrameObject *frame, PyObject *can_id, int64_t at)
 {
     PyObject *handler = PyDict_GetItemWithError(self->echo_handlers, can_id);
     if (handler == NULL)
         return !PyErr_Occurred();
+    if (handler->type == set_point_frame_type)
+        return dispatch_own_pdo(handler, frame, at);
     PyObject *arguments[] = {frame->data, PyLong_FromLongLong(at), PyLong_FromLongLong(frame->handed_at)};
     bool well = arguments[1] != NULL && arguments[2] != NULL && call_with(handler, arguments, 3);
     forget(&arguments[2]);
@@ -103,7 +115,6 @@ static bool dispatch_echo(PumpObject *self, const FrameObject *frame, PyObject *
     return well;
 }
 
-/* A TPDO's inlet is C: no object is made of the instant. */
 static bool dispatch_pdo(PyObject *handler, const FrameObject *frame, int64_t at)
 {
     InletObject *inlet = (InletObject *)another(handler);

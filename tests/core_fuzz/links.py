@@ -76,7 +76,8 @@ class _DrawnTap(FrameTap):
             self._link.fetch(at)
 
 
-def _bus(draw: random.Random) -> tuple[Any, SimulatedClock]:
+def drawn_bus(draw: random.Random) -> tuple[Any, SimulatedClock]:
+    """A bus of a drawn kind, and its clock."""
     timeline = Timeline()
     if draw.random() < 0.5:
         port: FramePort = _DrawnPort(draw)
@@ -93,7 +94,7 @@ def _bus(draw: random.Random) -> tuple[Any, SimulatedClock]:
 
 
 def _used_link(draw: random.Random) -> "weakref.ref[BusLink]":
-    bus, clock = _bus(draw)
+    bus, clock = drawn_bus(draw)
     link = BusLink(bus, clock)
 
     def handle(*given: Any) -> None:

@@ -68,6 +68,7 @@ from tests.core_fuzz.links import links
 from tests.core_fuzz.machines import drawn_encoder, drawn_mechanism, drawn_path, drawn_sensors
 from tests.core_fuzz.pdos import pdos
 from tests.core_fuzz.receptions import receptions
+from tests.core_fuzz.set_points import set_points
 from tests.core_fuzz.streams import streams
 from tests.motors import AZAIZ, LING
 
@@ -372,4 +373,6 @@ def misuse(draw: random.Random) -> None:
             continue
 
 
-WORLDS: Final = (frames, drive, random_runs, misuse, bus, ring, streams, pdos, links, devices, receptions)
+WORLDS: Final = (
+    frames, drive, random_runs, misuse, bus, ring, streams, pdos, links, devices, receptions, set_points
+)  # fmt: skip
