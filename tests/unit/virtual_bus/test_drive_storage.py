@@ -51,23 +51,18 @@ def another_value(servo: SimulatedServo, variable: Variable) -> bytes | None:
     return None
 
 
-PARAMETERS = [
-    (variable.index, variable.subindex)
-    for variable in read_write(powered(MemoryStore()))
-    if variable.index not in listed()
-]
-
-
-@pytest.mark.parametrize("key", PARAMETERS, ids=lambda key: f"{key[0]:04X}h:{key[1]}")
-def test_every_parameter_survives_save_and_a_restart(key: tuple[int, int]) -> None:
+def test_every_parameter_survives_save_and_a_restart() -> None:
     store = MemoryStore()
     servo = powered(store)
-    raw = another_value(servo, servo.dictionary.variable(*key))
-    if raw is None:
-        # Nothing else can be set: a mapping of a live PDO, a profile type with one value.
-        raw = servo.dictionary.upload(*key)
+    kept = [variable for variable in read_write(servo) if variable.index not in listed()]
+    kept.reverse()  # 1019h is only taken before the period, 1006h
+    changed = [variable for variable in kept if another_value(servo, variable) is not None]
+    assert len(changed) > 90, "the mappings of live PDOs, and what has one value only, take no other"
+    keys = [(variable.index, variable.subindex) for variable in kept]
+    told = {key: servo.dictionary.upload(*key) for key in keys}
     servo.dictionary.download(0x1010, 1, SAVE.to_bytes(4, "little"))
-    assert powered(store).dictionary.upload(*key) == raw
+    again = powered(store).dictionary
+    assert {key: again.upload(*key) for key in keys} == told
 
 
 def test_no_command_and_no_set_point_does() -> None:
