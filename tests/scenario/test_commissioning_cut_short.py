@@ -2,16 +2,24 @@
 
 The bus goes away in the middle of a step, for good, as for a process that is killed: nothing of what the
 program would still like to do reaches the drive. A second master then works from the journal alone.
+
+All tries have the same beginning: one commissioning runs to its end, and where a step begins its process is
+forked for each try of that step.
 """
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+import os
+import sys
+import traceback
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from html import unescape
 from pathlib import Path
-from typing import Any
+from shutil import rmtree
+from typing import Any, NamedTuple
 
-import can
 import pytest
 
 from servobench.drivers.canopen.network import CanopenNetwork
@@ -22,7 +30,6 @@ from servobench.drivers.cia402.profile import State
 from servobench.drivers.errors import BusDown, PeerFault
 from servobench.drivers.timebase import NS_PER_S, Instant
 from servobench.drivers.wire.adapters import parse_bus_spec
-from servobench.drivers.wire.frame_port import FramePort, WireFrame
 from servobench.drivers.wire.link import BusLink, StampSource
 from servobench.drivers.written_file import DiskFull
 from servobench.hil.commissioning.commission import all_steps, check_mark, commission
@@ -40,6 +47,8 @@ from servobench.hil.write_lists import RIG
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from servobench.virtual_bus.drive.unknown_drive import unknown_drive
 from tests.commissioning import WrappedStep
+from tests.forked_folder import take_a_copy
+from tests.scenario.cut_bus import CutBus
 
 SEED = 9
 """Polarity, position and velocity are told wrong."""
@@ -48,63 +57,9 @@ CLOCK = 0x1013
 """Goes on by itself."""
 WRITING = [step.name for step in all_steps() if step.writes or step.moves]
 FIRST_READING = ["bus", "identity", "dump", "units"]
+UNPLUGGED = ["setup", "polarity"]
 
-
-class CutPort(FramePort):
-    """The port of a bus that goes away."""
-
-    def __init__(self, bus: "CutBus") -> None:
-        super().__init__()
-        self._bus = bus
-        self._inner: FramePort = bus.inner.frame_port
-        self.echoes = self._inner.echoes
-
-    def receive(self, until: Instant) -> WireFrame | None:
-        self._bus.check()
-        frame = self._inner.receive(until)
-        while frame is not None and self._bus.unplugged:
-            frame = self._inner.receive(until)
-        self.came_at, self.came_own = self._inner.came_at, self._inner.came_own
-        return frame
-
-    def transmit(self, frame: WireFrame) -> None:
-        self._bus.check()
-        self._bus.sent += 1
-        if not self._bus.unplugged:
-            self._inner.transmit(frame)
-
-
-class CutBus(can.BusABC):
-    """A bus that goes away after so many more frames were sent, until it is mended."""
-
-    def __init__(self, inner: Any) -> None:
-        self.inner = inner
-        self.channel_info = "cut bus"
-        self.sent = 0
-        self.cut_at: int | None = None
-        self.unplugged_at: int | None = None
-        """From then on nobody hears it, and it hears nobody."""
-        self.frame_port = CutPort(self)
-        self._is_shutdown = True
-        self._filters = None
-
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Not used: the frame port is there."""
-        raise NotImplementedError
-
-    def shutdown(self) -> None:
-        """Of the inner bus."""
-        self.inner.shutdown()
-
-    @property
-    def unplugged(self) -> bool:
-        """The drive's plug is out."""
-        return self.unplugged_at is not None and self.sent >= self.unplugged_at
-
-    def check(self) -> None:
-        """Raises can.CanOperationError if it is gone."""
-        if self.cut_at is not None and self.sent >= self.cut_at:
-            raise can.CanOperationError("the cable is out")
+pytestmark = [pytest.mark.xdist_group("commissioning cut short"), pytest.mark.timeout(600)]
 
 
 class Stop(EmergencyStop):
@@ -124,15 +79,15 @@ class Stop(EmergencyStop):
 
 
 class InTheMiddle(WrappedStep):
-    """A step at whose beginning ``arm`` is called with the bus."""
+    """A step at whose beginning ``arm`` is called with its name."""
 
-    def __init__(self, inner: Step, arm: Callable[[], None], note: Callable[[str, int], None]) -> None:
+    def __init__(self, inner: Step, arm: Callable[[str], None], note: Callable[[str, int], None]) -> None:
         super().__init__(inner)
         self._arm = arm
         self._note = note
 
     def run(self, session: Session, outcome: StepOutcome) -> None:
-        self._arm()
+        self._arm(self.name)
         before = session.network.link.sent_frames
         try:
             self._inner.run(session, outcome)
@@ -170,16 +125,11 @@ class Rig:
             if variable.writable and variable.readable and entry.index != CLOCK
         }
 
-    def commission(
-        self, at_step: str = "", arm: Callable[[], None] = lambda: None, last_step: str = ""
-    ) -> Commissioned:
-        """Run it; ``arm`` is called at the beginning of ``at_step``. ``last_step``: none behind that one."""
+    def commission(self, arm: Callable[[str], None] = lambda _: None, last_step: str = "") -> Commissioned:
+        """Run it; ``arm`` is called at the beginning of each step. ``last_step``: none behind that one."""
 
         def steps() -> Sequence[Step]:
-            wrapped = [
-                InTheMiddle(step, arm if step.name == at_step else lambda: None, self.sent.__setitem__)
-                for step in all_steps()
-            ]
+            wrapped = [InTheMiddle(step, arm, self.sent.__setitem__) for step in all_steps()]
             names = [step.name for step in wrapped]
             return wrapped[: names.index(last_step) + 1] if last_step else wrapped
 
@@ -245,17 +195,23 @@ def test_every_writing_step_is_tried(frames: dict[str, int]) -> None:
     assert all(frames[name] > 0 for name in WRITING)
 
 
-@pytest.mark.parametrize("part", [0.1, 0.6], ids=["early", "late"])
-@pytest.mark.parametrize("name", WRITING)
-def test_a_journal_alone_puts_the_drive_back(
-    rig: Rig, frames: dict[str, int], name: str, part: float
-) -> None:
-    before = rig.memory()
+Ends = Mapping[tuple[str, str], str]
+"""By step and try: empty, or the traceback of what was wrong."""
 
-    def cut() -> None:
-        rig.bus.cut_at = rig.bus.sent + max(1, round(part * frames[name]))
 
-    result = rig.commission(name, cut)
+class Try(NamedTuple):
+    """A commissioning that is broken off within a step."""
+
+    arm: Callable[[Rig], None]
+    """Called at the beginning of the step."""
+    check: Callable[[Rig, Commissioned], None]
+
+
+def _cut(rig: Rig, frames: int) -> None:
+    rig.bus.cut_at = rig.bus.sent + max(1, frames)
+
+
+def _put_back_by_the_journal(rig: Rig, result: Commissioned, before: Mapping[Any, bytes]) -> None:
     assert isinstance(result.error, BusDown)
     left = rig.left(result)
     assert left["at_rest"] is None or rig.stands_disabled()
@@ -266,14 +222,11 @@ def test_a_journal_alone_puts_the_drive_back(
     assert read_journal(rig.request.journal).restored
 
 
-@pytest.mark.parametrize("name", [*FIRST_READING, *WRITING])
-def test_ctrl_c_puts_the_drive_back_by_itself(rig: Rig, frames: dict[str, int], name: str) -> None:
-    before = rig.memory()
+def _ask(rig: Rig, frames: int) -> None:
+    rig.stop.at = rig.bus.sent + frames
 
-    def ask() -> None:
-        rig.stop.at = rig.bus.sent + frames[name] // 2
 
-    result = rig.commission(name, ask)
+def _put_back_by_itself(rig: Rig, result: Commissioned, before: Mapping[Any, bytes], name: str) -> None:
     assert isinstance(result.error, Interrupted), [(r.name, r.reason) for r in result.records]
     assert result.records[-1].name == name or rig.bus.sent >= (rig.stop.at or 0)
     assert rig.memory() == before
@@ -284,13 +237,11 @@ def test_ctrl_c_puts_the_drive_back_by_itself(rig: Rig, frames: dict[str, int], 
     assert left["at_rest"] or name in FIRST_READING
 
 
-def test_a_key_leaves_a_report_of_a_drive_at_rest_and_put_back(rig: Rig) -> None:
-    before = rig.memory()
+def _hit(rig: Rig) -> None:
+    rig.stop.at, rig.stop.key = rig.bus.sent + 40, True
 
-    def hit() -> None:
-        rig.stop.at, rig.stop.key = rig.bus.sent + 40, True
 
-    result = rig.commission("polarity", hit)
+def _at_rest_by_a_key(rig: Rig, result: Commissioned, before: Mapping[Any, bytes]) -> None:
     assert result.error is not None
     assert (str(result.error), result.error.exit_status) == ("emergency stop by a key", 3)
     left = rig.left(result)
@@ -298,14 +249,11 @@ def test_a_key_leaves_a_report_of_a_drive_at_rest_and_put_back(rig: Rig) -> None
     assert (rig.stands_disabled(), rig.memory() == before) == (True, True)
 
 
-@pytest.mark.parametrize("name", ["setup", "polarity"])
-def test_a_drive_that_is_unplugged_leaves_a_report_of_what_is_open(rig: Rig, name: str) -> None:
-    before = rig.memory()
+def _pull(rig: Rig) -> None:
+    rig.bus.unplugged_at = rig.bus.sent + 40
 
-    def pull() -> None:
-        rig.bus.unplugged_at = rig.bus.sent + 40
 
-    result = rig.commission(name, pull)
+def _open_without_the_drive(rig: Rig, result: Commissioned, before: Mapping[Any, bytes], name: str) -> None:
     assert result.error is not None
     assert result.error.exit_status == 3
     left = rig.left(result)
@@ -316,6 +264,97 @@ def test_a_drive_that_is_unplugged_leaves_a_report_of_what_is_open(rig: Rig, nam
     assert rig.memory() != before
     rig.restore()
     assert rig.memory() == before
+
+
+def tries_of(name: str, frames: int, before: Mapping[Any, bytes]) -> Iterator[tuple[str, Try]]:
+    """The tries of the step ``name``, which sends so many ``frames``; ``before``: the drive's memory."""
+    if name in (*FIRST_READING, *WRITING):
+        check = partial(_put_back_by_itself, before=before, name=name)
+        yield "ctrl-c", Try(partial(_ask, frames=frames // 2), check)
+    if name in WRITING:
+        for when, part in (("early", 0.1), ("late", 0.6)):
+            check = partial(_put_back_by_the_journal, before=before)
+            yield when, Try(partial(_cut, frames=round(part * frames)), check)
+    if name in UNPLUGGED:
+        yield "unplugged", Try(_pull, partial(_open_without_the_drive, before=before, name=name))
+    if name == "polarity":
+        yield "key", Try(_hit, partial(_at_rest_by_a_key, before=before))
+
+
+class Tries:
+    """One commissioning, forked at the beginning of each step for each of its tries."""
+
+    def __init__(self, rig: Rig, frames: Mapping[str, int]) -> None:
+        self.ends: dict[tuple[str, str], str] = {}
+        self._rig, self._frames, self._before = rig, frames, rig.memory()
+        self._mine: Try | None = None
+        """The try that this process is, if it is one."""
+        self._told = rig.request.out.with_name("told")
+
+    def run(self) -> None:
+        try:
+            result = self._rig.commission(self._fork)
+            if self._mine is not None:
+                self._mine.check(self._rig, result)
+            else:
+                assert result.passed
+        finally:
+            if self._mine is not None:
+                self._told.write_text(traceback.format_exc() if sys.exc_info()[0] else "")
+                os._exit(0)
+
+    def _fork(self, name: str) -> None:
+        if self._mine is not None:
+            return
+        folder = self._rig.request.out
+        aside = folder.with_name("aside")
+        for which, each in tries_of(name, self._frames[name], self._before):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", DeprecationWarning)  # pytest-xdist has threads, unused here
+                process = os.fork()
+            if not process:
+                self._mine = each
+                take_a_copy(folder, aside)
+                each.arm(self._rig)
+                return
+            _, status = os.waitpid(process, 0)
+            told = self._told.read_text() if self._told.exists() else f"ended with status {status}"
+            self.ends[name, which] = told
+            self._told.unlink(missing_ok=True)
+            if aside.exists():
+                rmtree(folder)
+                aside.rename(folder)
+
+
+@pytest.fixture(scope="module")
+def ends(frames: dict[str, int], tmp_path_factory: pytest.TempPathFactory) -> Ends:
+    servo, _ = unknown_drive(SEED)
+    with open_world(WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, None, SEED), [servo]) as world:
+        folder = tmp_path_factory.mktemp("tries") / "out"
+        folder.mkdir()
+        tries = Tries(Rig(world, servo, folder), frames)
+        tries.run()
+    return tries.ends
+
+
+@pytest.mark.parametrize("part", ["early", "late"])
+@pytest.mark.parametrize("name", WRITING)
+def test_a_journal_alone_puts_the_drive_back(ends: Ends, name: str, part: str) -> None:
+    assert ends[name, part] == ""
+
+
+@pytest.mark.parametrize("name", [*FIRST_READING, *WRITING])
+def test_ctrl_c_puts_the_drive_back_by_itself(ends: Ends, name: str) -> None:
+    assert ends[name, "ctrl-c"] == ""
+
+
+def test_a_key_leaves_a_report_of_a_drive_at_rest_and_put_back(ends: Ends) -> None:
+    assert ends["polarity", "key"] == ""
+
+
+@pytest.mark.parametrize("name", UNPLUGGED)
+def test_a_drive_that_is_unplugged_leaves_a_report_of_what_is_open(ends: Ends, name: str) -> None:
+    assert ends[name, "unplugged"] == ""
 
 
 def test_a_disk_without_room_ends_it_with_the_drive_put_back(rig: Rig) -> None:

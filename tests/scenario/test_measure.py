@@ -24,9 +24,9 @@ from servobench.hil.measuring.loss_model import Losses
 from servobench.hil.measuring.stages import NO_CLOCK, NO_DEMAND, NOT_ENABLED, Stage
 from servobench.hil.restoring.journal import read_journal
 from servobench.hil.restoring.restore import restore
+from tests.scenario.cut_bus import CutBus
 from tests.scenario.measuring import Rig, StopAfter, measuring_rig
 from tests.scenario.processes import VELOCITY_UNIT_RAD_S
-from tests.scenario.test_commissioning_cut_short import CutBus
 
 COMMANDS = {"direction": "host_to_drive", "frames": ["pdo"]}
 READINGS = {"direction": "drive_to_host", "frames": ["pdo"]}
