@@ -1,6 +1,6 @@
 """Files of simulated drives: their source, ``[supply]``, limits of their power stage, ``[protection]``,
-their ``[inverter]``, ``[current_sensor]``, ``[encoder]``, ``[current_loop]``, ``[timing]``,
-``[set_point]`` and ``[field]``.
+their ``[inverter]``, ``[current_sensor]``, ``[encoder]``, ``[current_loop]``, ``[brake]``,
+``[timing]``, ``[set_point]`` and ``[field]``.
 
 ``like`` of ``[drive.NAME.simulation]`` names one or a preset, or has its tables.
 """
@@ -274,6 +274,26 @@ class InverterTable(Section):
         return Inverter(left * self.dead_time_us * 1e-6, self.zero_band_a, self.output_percent / 100.0)
 
 
+class BrakeTable(Section):
+    """``[brake]``: the motor's holding brake, which closes at standstill once the power stage is off."""
+
+    torque_nm: float | None = Field(default=None, ge=0.0, le=1e6)
+    """Torque that it holds, at the rotor; default: twice the motor's rated torque."""
+    open_ms: float = Field(default=0.0, ge=0.0, le=5_000.0)
+    """From the power stage's switching on until it lets go."""
+    close_ms: float = Field(default=0.0, ge=0.0, le=5_000.0)
+    """From its switching off, or standstill where that comes later, until it holds."""
+
+    @property
+    def parameters(self) -> dict[str, float | None]:
+        """Fields of the simulated drive."""
+        return {
+            "brake_torque_nm": self.torque_nm,
+            "brake_open_s": self.open_ms / 1000.0,
+            "brake_close_s": self.close_ms / 1000.0,
+        }
+
+
 class CurrentLoopTable(Section):
     """``[current_loop]``: the period of current loops and inverter."""
 
@@ -308,6 +328,7 @@ class DriveModel(FromPreset):
     inverter: InverterTable | None = Field(default=None, description="the table [inverter]")
     current_sensor: CurrentSensorTable | None = Field(default=None, description="the table [current_sensor]")
     current_loop: CurrentLoopTable | None = Field(default=None, description="the table [current_loop]")
+    brake: BrakeTable | None = Field(default=None, description="the table [brake]")
     timing: TimingTable | None = Field(default=None, description="the table [timing]")
     set_point: SetPointTable | None = Field(default=None, description="the table [set_point]")
     field: FieldTable = FieldTable()
@@ -337,6 +358,7 @@ class DriveModel(FromPreset):
             "current_sensors": None if self.current_sensor is None else self.current_sensor.parameters,
             "encoder": encoder.parameters,
             "speed": encoder.speed.parameters,
+            **({} if self.brake is None else self.brake.parameters),
             "path": STRAIGHT if self.set_point is None else self.set_point.parameters,
             "tasks": AT_ONCE if self.timing is None else self.timing.parameters,
         }

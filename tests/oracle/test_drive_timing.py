@@ -69,6 +69,7 @@ def test_the_example_of_a_task_runs() -> None:
     [
         ({"timing": {"rpdo_phase_us": 10.0}}, "timing", "rpdo_phase_us below rpdo_task_us"),
         ({"timing": {"tpdo_task_us": 400.0, "tpdo_phase_us": 400.0}}, "timing", "tpdo_phase_us below"),
+        ({"brake": {"close_ms": -1.0}}, "brake.close_ms", "a value >= 0"),
         ({"timing": {"rpdo_task_ms": 1.0}}, "timing.rpdo_task_ms", "rpdo_task_us"),
         (
             {"set_point": {"interpolation": "spline"}},

@@ -28,6 +28,7 @@ static void turn_motor(InnerLoops *self, double load_nm)
     const MotorParameters *p = &self->motor;
     const Output *out = &self->state.now;
     MotorState *shaft = &self->shaft;
+    double brake_nm = self->state.brake_holds * self->loop.brake_nm;
     if (out->on != 0.0) {
         SineCosine turn = sine_cosine(out->angle_rad - p->pole_pairs * shaft->angle_rad);
         Voltage voltage = {
@@ -43,7 +44,7 @@ static void turn_motor(InnerLoops *self, double load_nm)
             voltage.d += error[0];
             voltage.q += error[1];
         }
-        advance_machine(shaft, &self->load_side, p, &self->mechanism, voltage, load_nm, 0.0);
+        advance_machine(shaft, &self->load_side, p, &self->mechanism, voltage, load_nm, brake_nm);
         return;
     }
     double i_d = shaft->current_d_a, i_q = shaft->current_q_a;
@@ -52,7 +53,6 @@ static void turn_motor(InnerLoops *self, double load_nm)
     double keep = magnitude > fall ? 1.0 - fall / magnitude : 0.0;
     shaft->current_d_a = keep * i_d;
     shaft->current_q_a = keep * i_q;
-    double brake_nm = self->state.braked * self->loop.brake_nm;
     advance_machine(shaft, &self->load_side, p, &self->mechanism, (Voltage){0}, load_nm, brake_nm);
 }
 
@@ -309,6 +309,20 @@ static bool may_be_on(InnerLoops *self)
     return on && !tripped;
 }
 
+/* A brake takes its time to follow its coil. */
+static void move_brake(LoopState *state, const LoopParameters *p)
+{
+    if (state->braked == state->brake_holds) {
+        state->brake_waits = 0.0;
+        return;
+    }
+    state->brake_waits += 1.0;
+    if (state->brake_waits > (state->braked != 0.0 ? p->brake_close_ticks : p->brake_open_ticks)) {
+        state->brake_holds = state->braked;
+        state->brake_waits = 0.0;
+    }
+}
+
 /* The work of one inner period; its voltage goes out at the next one, turned on to that one's middle.
 
    Inverter off: the holding brake closes as soon as the shaft is slow, and opens with the inverter on. */
@@ -337,6 +351,7 @@ static void run_firmware(InnerLoops *self)
             angle + 1.5 * self->motor.period_s * self->motor.pole_pairs * state->speed_measured_rad_s;
     }
     state->control = demand->control;
+    move_brake(state, &self->loop);
 }
 
 /* Of the next periods; each period's load is that of its middle. */

@@ -36,6 +36,7 @@ typedef struct LoopParameters {
     double decouple_d_h, decouple_q_h; /* need not be the motor's inductances */
     double speed_filter, speed_gain, speed_integral_gain, speed_limit_gain;
     double rest_speed_rad_s, brake_nm;
+    double brake_open_ticks, brake_close_ticks; /* from its coil's current until it lets go, or holds */
     int encoder_held; /* its line is broken: the count stands still */
     CurrentController controller_d, controller_q;
 } LoopParameters;
@@ -54,7 +55,8 @@ typedef struct LoopState {
     double torque_demand_nm, speed_demand_rad_s, speed_integral_nm, rest_ticks;
     double weaker_a; /* i_d of the weakening */
     double limited; /* a set-point was cut */
-    double braked;
+    double braked;                   /* its coil is without current */
+    double brake_holds, brake_waits; /* and it does hold; ticks since that is asked otherwise */
     double controller_d[CONTROLLER_ORDER_MAX], controller_q[CONTROLLER_ORDER_MAX];
     int control; /* of the last tick */
 } LoopState;

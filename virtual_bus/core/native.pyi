@@ -241,6 +241,8 @@ class InnerLoops:
     speed_limit_gain: float
     rest_speed_rad_s: float
     brake_nm: float
+    brake_open_ticks: float
+    brake_close_ticks: float
     encoder_held: int
     """Not 0: the encoder's line is broken, its count stands still."""
 
@@ -294,6 +296,8 @@ class InnerLoops:
     limited: float
     """1: a set-point was cut at a limit."""
     braked: float
+    brake_holds: float
+    """1: the brake has closed."""
     """1: the holding brake is closed."""
     @property
     def control(self) -> int:

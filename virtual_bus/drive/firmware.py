@@ -144,6 +144,10 @@ class FirmwareParameters:
     """How counts are made into 606Ch."""
     brake_torque_nm: float | None = None
     """Holding brake; None: twice the motor's rated torque, 0: no brake."""
+    brake_open_s: float = 0.0
+    """From the power stage's switching on until the brake lets go."""
+    brake_close_s: float = 0.0
+    """From its switching off, or standstill where that comes later, until the brake holds."""
     controller_d: StateSpace | None = None
     """Replaces the PI on i_d: from its error, A, to the voltage, V, at the inner rate."""
     controller_q: StateSpace | None = None
@@ -261,7 +265,9 @@ class Firmware:
         inner.rest_speed_rad_s = max(_REST_SPEED_RAD_S, flicker_rad_s)
 
     def _set_limits(self) -> None:
-        brake = self.parameters.brake_torque_nm
+        rate_hz, brake = self.parameters.inner_rate_hz, self.parameters.brake_torque_nm
+        self.inner.brake_open_ticks = round(rate_hz * self.parameters.brake_open_s)
+        self.inner.brake_close_ticks = round(rate_hz * self.parameters.brake_close_s)
         self.inner.brake_nm = 2.0 * self.motor.rated_torque_nm if brake is None else brake
         self.limit(self.torque_max_nm, self.motor.current_max_a, math.inf)
 

@@ -1,0 +1,81 @@
+"""A holding brake that takes its time: how far a hanging load sags, by closed forms."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from servobench.design.mechanism import Mechanism, PlacedLoad
+from servobench.drivers.cia402.profile import Mode, State
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
+from servobench.virtual_bus.drive.machine import MACHINE
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from tests.motors import LING
+from tests.unit.virtual_bus.motion_bench import ENABLED, STO, MotionBench
+
+HANGING_NM = 0.8
+FREE = replace(LING, viscous_friction_nm_s=0.0, coulomb_friction_nm=0.0)
+LOADED = replace(FREE, mechanism=Mechanism(load=PlacedLoad(hanging_nm=HANGING_NM)))
+J = FREE.inertia_kg_m2
+
+
+def fallen_rad(firmware: Firmware) -> float:
+    inner = firmware.inner
+    return -(inner.turns * math.tau + inner.angle_rad)
+
+
+@pytest.mark.parametrize("close_ms", [0, 20, 75])
+@pytest.mark.parametrize("brake_nm", [1.0, 4.0])
+def test_a_load_falls_until_the_brake_holds_and_slips_until_it_rests(close_ms: int, brake_nm: float) -> None:
+    """Free fall for the brake's time and the tick that asks for it, then what it has above the load."""
+    firmware = Firmware(LOADED, FirmwareParameters(brake_torque_nm=brake_nm, brake_close_s=close_ms / 1000.0))
+    firmware.start(Instant(0))
+    firmware.advance_to(Instant(3000 * NS_PER_MS))
+    falls_s = close_ms / 1000.0 + firmware.tick_s
+    speed = HANGING_NM / J * falls_s
+    fallen = 0.5 * speed * falls_s + 0.5 * speed**2 / ((brake_nm - HANGING_NM) / J)
+    assert firmware.inner.speed_rad_s == 0.0
+    assert firmware.inner.brake_holds == 1.0
+    assert fallen_rad(firmware) == pytest.approx(fallen, rel=1e-9)
+
+
+def test_a_brake_that_is_too_weak_slips_for_ever() -> None:
+    firmware = Firmware(LOADED, FirmwareParameters(brake_torque_nm=0.5))
+    firmware.start(Instant(0))
+    firmware.advance_to(Instant(100 * NS_PER_MS))
+    slope = -(HANGING_NM - 0.5) / J
+    assert firmware.inner.speed_rad_s == pytest.approx(slope * 0.1, rel=2e-3)
+
+
+def test_a_brake_holds_against_the_motor_until_it_has_opened() -> None:
+    firmware = Firmware(FREE, FirmwareParameters(brake_torque_nm=4.0, brake_open_s=0.04))
+    firmware.start(Instant(0))
+    firmware.advance_to(Instant(10 * NS_PER_MS))
+    firmware.control(InnerControl.TORQUE)
+    firmware.demand_torque(2.0)
+    firmware.advance_to(Instant(49 * NS_PER_MS))
+    assert firmware.inner.speed_rad_s == 0.0
+    assert firmware.inner.torque_measured_nm == pytest.approx(2.0, rel=0.01)
+    firmware.advance_to(Instant(60 * NS_PER_MS))
+    assert firmware.inner.speed_rad_s == pytest.approx(2.0 / J * 0.00975, rel=0.02)
+
+
+@pytest.mark.parametrize("close_ms", [0, 50])
+def test_safe_torque_off_lets_a_held_load_sag(close_ms: int) -> None:
+    """The drive holds the load at rest; STO takes its torque, and the brake's time is that of the fall."""
+    drive = DriveParameters(brake_close_s=close_ms / 1000.0)
+    motor = replace(LING, mechanism=Mechanism(load=PlacedLoad(hanging_nm=HANGING_NM)))
+    bench = MotionBench(Mode.PROFILE_VELOCITY, drive, motor=motor, enabled=False)
+    for word in (0x06, 0x07, ENABLED):
+        bench.control(word)
+    bench.wait_ms(1500)
+    assert abs(bench.turns_s) < 0.05
+    before = bench.turns
+    bench.set(MACHINE, "B", 1, STO)
+    bench.wait_ms(400)
+    assert bench.state is State.SWITCH_ON_DISABLED
+    falls_s = close_ms / 1000.0
+    speed = HANGING_NM / J * falls_s
+    fallen = (0.5 * speed * falls_s + 0.5 * speed**2 / ((4.0 - HANGING_NM) / J)) / math.tau
+    assert before - bench.turns == pytest.approx(fallen, rel=0.06, abs=0.001)
