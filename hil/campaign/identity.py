@@ -142,7 +142,7 @@ def _note(opened: Opened, path: str, flags: int) -> None:
         if not stat.S_ISREG(os.stat(path).st_mode):
             return
     except (FileNotFoundError, NotADirectoryError):
-        if importing or path in sys.path:  # it looks in many places
+        if importing or path in map(os.path.realpath, sys.path):  # it looks in many places
             return
     opened.digests[path] = digest_of(path)
 

@@ -183,18 +183,6 @@ class Rating(Section):
     dc_bus_voltage_v: Voltage = Field(description="voltage of the inverter's DC bus, V")
 
 
-def _ideal(motor: Windings, mechanics: MotorMechanics, rating: Rating) -> PmsmParameters:
-    return PmsmParameters(
-        **motor.model_dump(exclude={"transform"}),
-        **mechanics.model_dump(),
-        transform=Transform(motor.transform),
-        rated_torque_nm=rating.torque_nm,
-        rated_speed_rad_s=rating.speed_rpm * RAD_S_PER_RPM,
-        current_max_a=rating.current_max_a,
-        dc_bus_voltage_v=rating.dc_bus_voltage_v,
-    )
-
-
 class MotorFile(FromPreset):
     """A whole motor file."""
 
@@ -215,7 +203,7 @@ class MotorFile(FromPreset):
     @classmethod
     def _is_iron(cls, saturation: SaturationTable | None, found: ValidationInfo) -> SaturationTable | None:
         if saturation is not None and {"motor", "mechanics", "rating"} <= set(found.data):
-            saturation.iron(_ideal(found.data["motor"], found.data["mechanics"], found.data["rating"]))
+            saturation.iron(cls.model_construct(**found.data)._ideal())
         return saturation
 
     @field_validator("coupling")
@@ -248,6 +236,18 @@ class MotorFile(FromPreset):
             raise ValueError(_too_fast("end_stops.stiffness_nm_rad with a frequency on the stop", fastest_hz))
         return load
 
+    def _ideal(self) -> PmsmParameters:
+        """The machine of these windings on a rigid shaft, with iron that never saturates."""
+        return PmsmParameters(
+            **self.motor.model_dump(exclude={"transform"}),
+            **self.mechanics.model_dump(),
+            transform=Transform(self.motor.transform),
+            rated_torque_nm=self.rating.torque_nm,
+            rated_speed_rad_s=self.rating.speed_rpm * RAD_S_PER_RPM,
+            current_max_a=self.rating.current_max_a,
+            dc_bus_voltage_v=self.rating.dc_bus_voltage_v,
+        )
+
     def _mechanism(self) -> Mechanism | None:
         mechanics = self.mechanics
         return mechanism_of(
@@ -268,7 +268,7 @@ class MotorFile(FromPreset):
     @property
     def parameters(self) -> PmsmParameters:
         """The same in the form for plant and firmware."""
-        ideal = _ideal(self.motor, self.mechanics, self.rating)
+        ideal = self._ideal()
         return replace(
             ideal,
             mechanism=self._mechanism(),

@@ -18,8 +18,9 @@ from servobench.hil.configuration.drive_model import DriveModel, load_drive_mode
 from servobench.hil.configuration.motor_file import LING2012, MotorFile, load_motor
 from servobench.hil.configuration.preset_files import FOLDER, KINDS, preset_names, preset_origin
 from servobench.hil.studies.motor.sheet import Sheet, motor_text
-from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
+from servobench.virtual_bus.drive.firmware import Firmware, InnerControl
 from servobench.virtual_bus.drive.power_stage import Trip
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from tests.scenario.processes import EXAMPLES
 
 DRIVES, MOTORS = (preset_names(kind) for kind in KINDS)
@@ -45,7 +46,7 @@ def leaves(table: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, An
 
 def simulated(name: str, motor: Any = LOCKED, **tables: Any) -> Firmware:
     like = DriveModel.model_validate({"preset": name, **tables})
-    firmware = Firmware(motor, FirmwareParameters(**(like.parameters | like.rates)))
+    firmware = Firmware(motor, DriveParameters(**(like.parameters | like.rates)))
     firmware.start(Instant(0))
     firmware.control(InnerControl.TORQUE)
     return firmware

@@ -23,7 +23,7 @@ from servobench.hil.rows.records import ROW_DTYPE
 from servobench.hil.verdict.summary import Summary
 from tests.scenario.processes import EXAMPLES, HIL, NO_DISK, RUN_TIMEOUT_S, on_disk_of, quiet_environment
 
-LONG_S = 40
+LONG_S = 120
 """Some ten times as long as it takes to fill the disk of the test."""
 LING2012 = EXAMPLES / "ling2012.toml"
 
