@@ -38,7 +38,7 @@ def scan(
 
     Examples:
       hil scan
-      hil scan --bus hub:lab --wait 60   # until hil simulate or hil rehearse has its drive there
+      hil scan --bus hub:lab --wait 60   # until somebody is there
       hil scan --bus socketcan:can0   # a real drive
     """
     from servobench.drivers.canopen.nmt_states import UNCONFIGURED
