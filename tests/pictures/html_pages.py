@@ -65,7 +65,8 @@ def made_pages(folder: Path) -> Iterator[tuple[str, Path]]:
     yield "commissioning", commissioned / "report.html"
     yield "certificate", commissioned / "certificate.html"
     with chdir(folder):
-        yield "campaign", made.campaign(folder / "campaign") / "report.html"
+        campaign = made.campaign(folder / "campaign")
+    yield "campaign", campaign / "report.html"
 
 
 def look_at(pages: Iterator[tuple[str, Path]], out: Path) -> Iterator[tuple[str, list[str]]]:
