@@ -5,6 +5,7 @@ import tomllib
 from pathlib import Path
 
 import yaml
+from setuptools.config.pyprojecttoml import read_configuration
 
 ROOT = Path(__file__).parents[1]
 
@@ -39,3 +40,11 @@ def test_what_security_and_releases_name_is_there() -> None:
         assert [link for link in links if not (ROOT / link).exists()] == []
         asked = set(re.findall(r"`make ([a-z-]+)", text))
         assert [target for target in asked if not re.search(rf"^{target}:", makefile, re.MULTILINE)] == []
+
+
+def test_a_folder_of_data_is_no_package() -> None:
+    """For one without a module an editable install puts an entry into sys.path, for every program there."""
+    project = read_configuration(ROOT / "pyproject.toml", expand=True)
+    packages = project["tool"]["setuptools"]["packages"]
+    assert "servobench.hil.configuration" in packages
+    assert [name for name in packages if not (ROOT / name.replace(".", "/") / "__init__.py").exists()] == []

@@ -27,8 +27,6 @@ from servobench.hil.loop.context import Context, SetPoint, TorqueSetPoint
 from servobench.hil.loop.samples import AT_REST, Sample, StateEstimate
 
 PER_NS: Final = 1.0 / NS_PER_S
-EARLY: Final = 4
-"""A command that acts more than such a part of a period from now acts with the next cycle's reference."""
 
 
 class Predicting(Compensator):

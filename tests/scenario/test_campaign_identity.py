@@ -3,6 +3,7 @@
 import json
 import os
 import random
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -102,6 +103,7 @@ def test_a_relative_path_names_the_same_campaign_from_anywhere(
     runner, here = CliRunner(), tmp_path / "here"
     campaign(here, seeds=2)
     monkeypatch.chdir(here)
+    monkeypatch.setattr(sys, "path", [*sys.path, "__editable__.another.finder.__path_hook__"])
     command = ["campaign", "sweep.toml", "--out", "out", "--workers"]
     ended = runner.invoke(app, [*command, "1", "--seconds", "0"])
     assert ended.exit_code == 0, ended.output

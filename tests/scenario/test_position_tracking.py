@@ -221,6 +221,21 @@ def test_a_motion_that_the_axis_cannot_follow_is_refused(
         servo_bench(CST, changes(CST, [entry]))
 
 
+def test_positions_and_speeds_of_one_axis_are_refused(servo_bench: BenchRunner) -> None:
+    motion = [
+        {"kind": "step", "at_s": at, key: 1.0} for at, key in ((0.1, "position_rad"), (0.2, "speed_rpm"))
+    ]
+    with pytest.raises(BadInput, match=r"reference\.axis1\[1\]\.speed_rpm.* here a position"):
+        servo_bench(CST, changes(CST, motion))
+
+
+def test_a_load_that_repeats_is_refused(servo_bench: BenchRunner, tmp_path: Path) -> None:
+    (tmp_path / "load.csv").write_text("time_s,torque_nm\n0,0\n1,0.1\n")
+    entry = {"kind": "file", "path": str(tmp_path / "load.csv"), "repeats": True}
+    with pytest.raises(BadInput, match=r"load\.axis1\[0\]\.repeats: found .*a load from a file comes once"):
+        servo_bench(CST, changes(CST, []) | {"load": {"axis1": [entry]}})
+
+
 def test_a_cycle_without_a_length_is_refused(servo_bench: BenchRunner, tmp_path: Path) -> None:
     (tmp_path / "one.csv").write_text("time_s,position_rad\n0,0\n")
     entry = {"kind": "file", "at_s": 0.1, "path": str(tmp_path / "one.csv"), "repeats": True}
