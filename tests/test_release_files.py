@@ -5,7 +5,7 @@ import tomllib
 from pathlib import Path
 
 import yaml
-from setuptools.config.pyprojecttoml import read_configuration
+from setuptools.config.pyprojecttoml import read_configuration  # type: ignore[import-untyped]
 
 ROOT = Path(__file__).parents[1]
 
