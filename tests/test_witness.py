@@ -243,6 +243,15 @@ def test_a_motion_that_the_machine_had_no_time_for_says_nothing_of_the_drive(sou
     assert len(wrong(case, frozenset())) == 4
     result = judged(late, frozenset(), True, documented())
     assert (result.wrong, len(result.late)) == ([], 4)
+    assert result.is_to_be_tried_again
+
+
+def test_a_motion_alone_that_is_wrong_is_tried_again_and_no_other_fault(sound: Case) -> None:
+    case = ended(sound, "460 of 2002 readings were lost")
+    assert judged(case, frozenset(), True, documented()).is_to_be_tried_again
+    case.left.append("commission: left turning, 6064h 0 -> 4000")
+    assert not judged(case, frozenset(), True, documented()).is_to_be_tried_again
+    assert not judged(sound, frozenset(), True, documented()).is_to_be_tried_again
 
 
 def test_what_a_late_command_wrote_said_and_left_is_judged(sound: Case) -> None:
@@ -263,6 +272,25 @@ def cycles(periods_ms: Sequence[float], answer_ms: float = 1.0) -> list[Frame]:
     return sorted(heard)
 
 
+def unanswered(frames: list[Frame], count: int) -> list[Frame]:
+    """Without so many readings in a row."""
+    readings = [frame for frame in frames if frame.cob_id == 0x181]
+    return sorted(set(frames) - set(readings[1000 : 1000 + count]))
+
+
+def silent(pause_ms: float, controlword: str) -> list[Frame]:
+    """A host that pauses, and asks before it goes on, after the controlword."""
+    asked = Frame((2000.0 + pause_ms) / 1e3, 0x601, bytes(8))
+    return sorted(
+        [
+            Frame(0.0001, 0x601, bytes.fromhex(controlword)),
+            *cycles([4.0] * 500),
+            *after(2.0, cycles([pause_ms + 1.0] + [4.0] * 500)),
+            asked,
+        ]
+    )
+
+
 def after(seconds: float, frames: Sequence[Frame]) -> list[Frame]:
     return [frame._replace(at_s=frame.at_s + seconds) for frame in frames]
 
@@ -276,6 +304,12 @@ def after(seconds: float, frames: Sequence[Frame]) -> list[Frame]:
         (cycles([4.0] * 500 + [104.0] + [4.0] * 500), "nothing for 104 ms between two SYNCs"),
         (cycles([4.0] * 1000 + [8.0, 4.0] * 3), "3 of 1005 cycles"),
         (cycles([4.0] * 500) + [Frame(2.0 + n / 500, 0x080, b"") for n in range(3)], "2 of 502 cycles"),
+        (unanswered(cycles([4.0] * 15_000), 26), "26 cycles in a row were late"),
+        (unanswered(cycles([4.0] * 15_000), 9), ""),
+        (silent(110.0, "2B4060000F000000"), "nothing for 110 ms while the drive was to operate"),
+        (silent(110.0, "2B40600007000000"), ""),
+        (silent(50.0, "2B4060000F000000"), ""),
+        (sorted([*silent(110.0, "2B4060000F000000"), Frame(2.05, 0x081, bytes(8))]), ""),
         (cycles([4.0] * 1000, answer_ms=1.9), ""),
         ([*cycles([4.0] * 900), *after(3.6, cycles([4.0] * 100, answer_ms=2.2))], "99 of 999 cycles"),
         (

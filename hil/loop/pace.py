@@ -131,7 +131,8 @@ class OwnSync(Pace):
     def calibrate(self, axes: Sequence[Axis], settle: Duration) -> list[bool]:
         """With SYNCs so far apart that each reading answers the last one; with more of them where something
         stood still meanwhile. Each is late by a part of a period, drawn by a seed: the stamps of SYNCs at
-        equal distances do not show by what steps they advance."""
+        equal distances do not show by what steps they advance. After a standstill of the host the distances
+        begin anew: SYNCs made up for would come in one burst."""
         answered = [False] * len(axes)
         draw = Random(CALIBRATION_SEED)
         begins_at = self._now()
@@ -141,6 +142,9 @@ class OwnSync(Pace):
             self._note(SURPLUS)
             begins_at = Instant(begins_at + settle)
             self._network.pump(begins_at)
+            now = self._now()
+            if ticks_missed(begins_at, self._period, now):
+                begins_at = now
             _learn(axes, answered, [axis.parts.syncs.marks[-1] for axis in axes])
             if (
                 number >= CALIBRATION_SYNCS

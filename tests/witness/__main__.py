@@ -12,7 +12,8 @@ false, or a drive was left moving, enabled or changed; or if the machine had no 
 
 What a command wrote, read, said of the drive's objects and left behind is judged, however late the machine
 was. How a motion or a run ended is judged where the frames show that the machine kept its time; a sheet for
-which it did not is tried again, alone.
+which it did not is tried again, alone, and so is one of which a motion alone is wrong: it counts if it is
+wrong each time.
 """
 
 import argparse
@@ -158,7 +159,8 @@ def _all(sheets: list[Sheet], side_by_side: int, began: int, span: int) -> list[
                 report(results[-1])
     for tries in range(2, TRIES_MAX + 1):
         for number, result in enumerate(results):
-            if result.judged.late and not result.judged.wrong and clock.now() < began + span:
+            again = result.judged.is_to_be_tried_again
+            if again and (result.judged.motion or clock.now() < began + span):
                 hub = f"witness{os.getpid()}-{number}-{tries}"
                 results[number] = outcome(result.sheet, hub)._replace(tries=tries)
                 report(results[number])

@@ -56,6 +56,13 @@ class Judged:
     unsafe: list[str] = field(default_factory=list)
     late: list[str] = field(default_factory=list)
     """How commands ended that the machine had no time for, by the frames: it says nothing of the drive."""
+    motion: list[str] = field(default_factory=list)
+    """What is wrong, and of motion alone: frames do not show all that a busy machine keeps from a host."""
+
+    @property
+    def is_to_be_tried_again(self) -> bool:
+        """Nothing is wrong but motion, if that."""
+        return bool(self.late or self.motion) and len(self.wrong) == len(self.motion)
 
     @property
     def wrong(self) -> list[str]:
@@ -68,6 +75,7 @@ class Judged:
             if ended.late:
                 self.late.append(f"{text} ({ended.late})")
             else:
+                self.motion.append(text)
                 yield text
 
 

@@ -1,5 +1,7 @@
 """A loop's own SYNCs: how many it learns by, which ticks go without, and what comes too late."""
 
+from itertools import pairwise
+
 import pytest
 
 from servobench.drivers.errors import NoAnswer, PeerFault
@@ -57,6 +59,23 @@ def test_sixteen_syncs_calibrate_of_which_eight_must_teach(lost: int, syncs: int
     assert 0 <= min(late) < max(late) <= PERIOD // CALIBRATION_LATE
     assert len(set(late)) == syncs
     assert {mark.sequence for mark in rig.log.marks} == {0}, "of no cycle"
+
+
+@pytest.mark.parametrize("stalled_ms", [2, 60, 700])
+@pytest.mark.parametrize("at_ms", [7, 20, 44])
+def test_syncs_of_a_calibration_are_not_made_up_for_after_a_standstill(at_ms: int, stalled_ms: int) -> None:
+    """A burst of them would flood the bus, and its readings teach nothing."""
+    rig = Rig()
+
+    def stand_still() -> None:
+        rig.bus.at = Instant(rig.bus.at + stalled_ms * NS_PER_MS)
+
+    rig.bus.call_at(at_ms * NS_PER_MS, stand_still)
+    assert rig.pace.calibrate(rig.axes, SETTLE) == [True]
+    distances = [after - before for before, after in pairwise(rig.bus.handed_at)]
+    assert min(distances) >= SETTLE - PERIOD // 2 - PERIOD // CALIBRATION_LATE
+    assert max(distances) >= stalled_ms * NS_PER_MS
+    assert len(rig.bus.handed_at) <= 18
 
 
 def test_which_drives_have_answered_is_told() -> None:
