@@ -200,13 +200,16 @@ def unknown_world(
     tell: Callable[[str], None] = lambda _text: None,
     last_step: str | None = None,
     without: Sequence[str] = (),
+    drive: DriveParameters | None = None,
 ) -> tuple[Truth, Commissioned, Spy]:
     """Commission the drive of ``seed`` in simulated time. ``spied``: know the delays from inside.
     ``modes``: 6502h, if it is to be less than the drive can. ``lacks``: objects that it has not.
     ``plate``: in place of the true nameplate, which is to be trusted unless told otherwise.
-    ``last_step``: no step behind that one. ``without``: nor these.
+    ``last_step``: no step behind that one. ``without``: nor these. ``drive``: with another machine than its
+    motor alone, or another power stage.
     """
-    servo, truth = unknown_drive(seed, drive=DriveParameters(clock_drift_ppm=drift_ppm))
+    drive = DriveParameters(clock_drift_ppm=drift_ppm) if drive is None else drive
+    servo, truth = unknown_drive(seed, drive=drive)
     take_away(servo.dictionary, lacks)
     if modes is not None:
         only_modes(servo.dictionary, modes)

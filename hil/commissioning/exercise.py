@@ -8,12 +8,14 @@ from typing import Final
 import numpy as np
 
 from servobench.drivers.canopen.network import CanopenNetwork
-from servobench.drivers.errors import LimitExceeded
+from servobench.drivers.errors import LimitExceeded, PeerFault
 from servobench.drivers.exchange import Command
 from servobench.drivers.timebase import NS_PER_S, Duration, Instant, duration_s
 from servobench.hil.commissioning.drive_port import DrivePort
 from servobench.hil.commissioning.excitation import SpeedReference, TimedTorque
+from servobench.hil.commissioning.findings import StepFailed
 from servobench.hil.commissioning.identify import Array
+from servobench.hil.commissioning.outside import refuse_outside
 from servobench.hil.commissioning.request import MotionLimits
 from servobench.hil.control.compensation import Arrival
 from servobench.hil.execution.drive_session import DriveSession
@@ -256,11 +258,23 @@ class Exerciser:
                 lambda _at: None,
                 lambda _done: None,
             )
+        except PeerFault as error:
+            self._refuse_outside(recording_of(records), error)
+            raise
         finally:
             self.port.end()
         self.drives.guard.calm()  # the SYNCs of other steps are not counted
         self.check_stop()
-        return recording_of(records)
+        recording = recording_of(records)
+        self._refuse_outside(recording)
+        return recording
+
+    def _refuse_outside(self, recording: Recording, ended_by: PeerFault | None = None) -> None:
+        rated_nm = self.port.drive.rated_torque_nm
+        try:
+            refuse_outside(recording.time, recording.position, recording.speed, recording.torque, rated_nm)
+        except StepFailed as cause:
+            raise cause from ended_by
 
     def _axis(
         self,

@@ -10,7 +10,6 @@ from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 
 from canopen.objectdictionary import ObjectDictionary
 
-from servobench.drivers.canopen.error_codes import HEARTBEAT_ERROR
 from servobench.drivers.canopen.pdo import PdoPlan
 from servobench.drivers.canopen.pdo_budget import budget_of
 from servobench.drivers.cia402.drive_setup import DriveSettings, read_scaling
@@ -31,6 +30,7 @@ from servobench.hil.commissioning.exercise import EnergyMeter, Exerciser
 from servobench.hil.commissioning.findings import Findings, StepFailed, StepOutcome
 from servobench.hil.commissioning.host_gaps import HostGaps
 from servobench.hil.commissioning.identify import Mechanics
+from servobench.hil.commissioning.own_faults import advise, passing_cause
 from servobench.hil.commissioning.ramps import set_ramps, within_ramps, write_moves
 from servobench.hil.commissioning.recording import SessionLog
 from servobench.hil.commissioning.request import CommissionRequest, MotionLimits, cautious
@@ -126,17 +126,17 @@ class Session:
         """Begin an attempt at a step, with its own bound on the work, and with a drive that is set up: one
         that fell out of it, as its host was silent for a while, is set up again.
 
-        Only the fault caused by the host's own silence is reset. Raises PeerFault.
+        Only a fault that the host's own silence or an exercise causes is reset. Raises PeerFault.
         """
         self.energy = EnergyMeter()
         self.gaps.begin()
         if not self.configured:
             return
-        control = self.drive.control
-        codes = [emergency.code for emergency in control.emergencies if emergency.code]
-        if control.read_state() in FAULTY and codes and codes[-1] == HEARTBEAT_ERROR:
+        codes = self._codes()
+        cause = passing_cause(codes)
+        if self.drive.control.read_state() in FAULTY and cause is not None:
             self.drive.reset_fault(self.deadline(ENABLE_LIMIT_S))
-            self.dialog.tell(f"    the fault {HEARTBEAT_ERROR:04X}h, of a host that was not heard, is reset")
+            self.dialog.tell(f"    the fault {codes[-1]:04X}h, {cause}, is reset")
         faults = lapses(self.drive, self.request.heartbeat_ms)
         if faults or self.disturbed:
             if faults:
@@ -147,8 +147,13 @@ class Session:
     def end_attempt(self, failure: PeerFault | None) -> PeerFault | None:
         """Return the cause of a failed attempt: the host's own silence takes precedence."""
         failure = self.gaps.cause_of(failure)
+        if self.configured:
+            advise(failure, self._codes())
         self.disturbed = failure is not None
         return failure
+
+    def _codes(self) -> list[int]:
+        return [emergency.code for emergency in self.drive.control.emergencies if emergency.code]
 
     # ---- time -----------------------------------------------------------------------------------------
 

@@ -14,6 +14,7 @@ from servobench.drivers.errors import PeerFault
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.hil.commissioning.findings import StepFailed, StepOutcome
+from servobench.hil.commissioning.outside import raise_driven
 from servobench.hil.commissioning.ramps import RampTooSlow, ramps_told
 from servobench.hil.commissioning.sequence import Step
 from servobench.hil.commissioning.session import Session
@@ -195,12 +196,15 @@ def _silence(session: Session, timeout_ms: int) -> tuple[float | None, State | N
     last_at = heard_at = session.clock_now
     network.withhold_life_signs()
     period = session.found.period
+    began_rad: float | None = None
     due = Instant(last_at + period)
     while due < last_at + round(_PATIENCE * timeout_ms * NS_PER_MS):
         network.pump(due)
         session.check_stop()
         for reading in drive.take_readings():
             heard_at = reading.received_at
+            began_rad = reading.position_rad if began_rad is None else began_rad
+            _refuse_load((reading.position_rad - began_rad) / math.tau)
             state = state_of(reading.statusword)
             if state is not State.OPERATION_ENABLED:
                 return (heard_at - last_at) / NS_PER_MS, state
@@ -214,6 +218,12 @@ def _silence(session: Session, timeout_ms: int) -> tuple[float | None, State | N
         network.send_sync()
         due = Instant(max(due + period, session.clock_now))
     return None, State.OPERATION_ENABLED
+
+
+def _refuse_load(turns: float) -> None:
+    """Raise StepFailed for a shaft that turns though it was given no torque yet."""
+    if abs(turns) > _REST_TURNS:
+        raise_driven(turns, "enabled without torque; its brake, if it has one, is open then")
 
 
 def _recover(session: Session) -> None:

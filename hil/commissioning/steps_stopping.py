@@ -346,7 +346,7 @@ def _stop_slowly(session: Session) -> SlowStop:
         raise StepFailed(
             "the shaft does not reach a low speed",
             f"{began:.3g} of {speed:.3g} rad/s in {run_up_s + _HOLD_S:.3g} s{f'; {ramps}' if ramps else ''}",
-            "a brake, a load, or limits.torque_max_percent of the nameplate?",
+            "an end stop, a brake, a load, or limits.torque_max_percent of the nameplate?",
         )
     return _measured(session, began, readings)
 

@@ -206,6 +206,13 @@ def _ending_rad_s(recording: Recording, window_s: float) -> float:
     path, passed_s = np.ptp(recording.position[last]), np.ptp(recording.time[last])
     if not passed_s:
         raise StepFailed("too few readings came")
+    if not path:
+        torque_nm = float(np.mean(recording.torque[last]))
+        raise StepFailed(
+            "the shaft stands at the end of the run-up",
+            f"against {torque_nm:.3g} N m",
+            "an end stop, or a brake?",
+        )
     return float(path / passed_s)
 
 

@@ -43,6 +43,8 @@ _HISTORY: Final = 12
 speed."""
 _JUMP_TURNS: Final = 0.01
 """Less is an extrapolation error: the steepest start, 8 turns/s in 0.25 s, makes 2e-4 at 1 ms a cycle."""
+_STILL_TURNS: Final = 0.01
+"""A shaft that stays within it stands: at the slowest speed it would be through in 20 ms."""
 _WORD: Final = 1 << 32
 """6064h is an INTEGER32, and wraps."""
 _START: Final = 1 << 4
@@ -129,6 +131,32 @@ def _by_searches(session: Session) -> float | None:
     return None
 
 
+class _Still:
+    """Watches whether a shaft that turned stands before a pulse came."""
+
+    def __init__(self) -> None:
+        self._place_rad: float | None = None
+        self._since = Instant(0)
+        self._turned = False
+
+    def look(self, reading: Reading) -> None:
+        """Look at the next reading."""
+        if (
+            self._place_rad is not None
+            and abs(reading.position_rad - self._place_rad) < _STILL_TURNS * math.tau
+        ):
+            return
+        self._turned = self._place_rad is not None
+        self._place_rad, self._since = reading.position_rad, reading.received_at
+
+    def refuse(self, now: Instant) -> None:
+        """Raise PeerFault if it stood for the last second."""
+        if self._turned and now - self._since > NS_PER_S:
+            raise PeerFault(
+                "the shaft turned, and stood before an index pulse came", "", "an end stop, or a brake?"
+            )
+
+
 def _search(session: Session, limit_s: float) -> _Homing | None:
     """Home once; None if no pulse came in time."""
     control, network, drive = session.drive.control, session.network, session.drive
@@ -142,6 +170,7 @@ def _search(session: Session, limit_s: float) -> _Homing | None:
     deadline = session.deadline(limit_s)
     passed_rad: float | None = None
     settled = 0
+    still = _Still()
     try:
         while network.clock.now() < deadline:
             network.pump(Instant(network.clock.now() + session.found.period))
@@ -151,6 +180,7 @@ def _search(session: Session, limit_s: float) -> _Homing | None:
                 word = reading.statusword
                 if state_of(word) is not State.OPERATION_ENABLED or word & _FAILED:
                     return None
+                still.look(reading)
                 step = _jump(history, reading)
                 jump += step
                 if passed_rad is not None:  # the statusword came before the position of the same instant
@@ -164,6 +194,7 @@ def _search(session: Session, limit_s: float) -> _Homing | None:
                 settled = settled + 1 if ended else 0
                 if settled > _SETTLED and passed_rad is not None:
                     return _Homing(jump, abs(reading.position_rad - passed_rad))
+        still.refuse(network.clock.now())
         return None
     finally:
         control.set_bits(_START, 0)

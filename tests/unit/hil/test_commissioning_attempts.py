@@ -132,6 +132,23 @@ def test_only_the_fault_of_the_hosts_own_silence_is_reset(
     assert bench.settings == []
 
 
+@pytest.mark.parametrize(
+    ("code", "cause"),
+    [
+        (0x3210, "of a DC link that braking charged"),
+        (0x3220, "of a DC link that driving emptied"),
+        (0x2350, "of I^2 t"),
+    ],
+)
+def test_a_fault_that_an_exercise_causes_and_that_passes_is_reset(
+    monkeypatch: pytest.MonkeyPatch, code: int, cause: str
+) -> None:
+    bench = Bench(monkeypatch).configured()
+    bench.control.emergencies, bench.control.read_state = emergencies(LOST, code), lambda: State.FAULT
+    bench.session.begin_attempt()
+    assert bench.notes == ["gaps", "reset within 3 s", f"    the fault {code:04X}h, {cause}, is reset"]
+
+
 def test_a_drive_that_fell_out_of_its_setting_is_set_up_again(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch).configured()
     bench.lapsed = ["it is stopped", "6072h holds 0"]

@@ -45,7 +45,7 @@ class Port(FakeDrive):
 
     def __init__(self, notes: list[str], quantity: Quantity = Quantity.TORQUE) -> None:
         super().__init__(lambda _sequence: 250_000)
-        self.drive = SimpleNamespace(name="drive")
+        self.drive = SimpleNamespace(name="drive", rated_torque_nm=1.0)
         self.quantity = quantity
         self.commanded_rad: float | None = None
         self.speeds: list[float] = []
