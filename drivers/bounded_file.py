@@ -112,6 +112,8 @@ def read_lines(
 
 def read_toml(path: Path, what: str, named_by: NamedBy | None = None) -> dict[str, Any]:
     """Parse the TOML file ``path`` into a table. Raises BadInput."""
+    if path.suffix == ".py" and path.is_file():
+        raise BadInput(str(path), "", "a Python file", f"a {what}, in TOML")
     return parse_toml(read_text(path, what, named_by), str(path))
 
 

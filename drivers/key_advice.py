@@ -2,7 +2,7 @@
 unit."""
 
 import difflib
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
 from servobench.drivers.errors import BadInput
@@ -62,6 +62,16 @@ def converted(value: Any, found_key: str, expected_key: str) -> str | None:
     return f"{value * given[1] / wanted[1]:.9g}"
 
 
+def _period_of(value: Any, found_key: str, expected_key: str) -> str | None:
+    """Convert the frequency ``value`` to the period of ``expected_key``, likewise."""
+    given, wanted = (UNITS.get(split_unit(key)[1], ("", 0.0)) for key in (found_key, expected_key))
+    if (given[0], wanted[0]) != ("frequency", "time") or isinstance(value, bool):
+        return None
+    if not isinstance(value, int | float) or not value > 0.0:
+        return None
+    return f"{1.0 / (value * given[1] * wanted[1]):.9g}"
+
+
 class UnknownKey(BadInput):
     """A key that the file must not hold."""
 
@@ -69,8 +79,17 @@ class UnknownKey(BadInput):
     """The known key that was probably meant."""
 
 
-def unknown_key(source: str, path: str, value: Any, known: Collection[str]) -> UnknownKey:
-    """Return the error for the key at the dotted ``path``; ``known``: the plain names allowed there."""
+TABLES_MAX, TABLES_NAMED = 3, 2
+"""A key that stands in more tables says nothing of the one that was meant; the outermost are named."""
+
+
+def unknown_key(
+    source: str, path: str, value: Any, known: Collection[str], elsewhere: Sequence[str] = ()
+) -> UnknownKey:
+    """Return the error for the key at the dotted ``path``; ``known``: the plain names allowed there.
+
+    ``elsewhere``: the headings of the tables that have it, the outermost first.
+    """
     name = path.rpartition(".")[2]
     if other := same_quantity(name, known):
         number = converted(value, name, other)
@@ -80,6 +99,14 @@ def unknown_key(source: str, path: str, value: Any, known: Collection[str]) -> U
         other, number = "probability", converted(value, "percent", "ratio")
         expected, remedy = "probability, from 0 to 1", "write probability"
         remedy += f" = {number}" if number is not None else ""
+    elif (other := next((key for key in known if split_unit(key)[0] == "period"), None)) and (
+        period := _period_of(value, name, other)
+    ):
+        expected, remedy = f"{other}, a period", f"write {other} = {period}"
+    elif 0 < len(elsewhere) <= TABLES_MAX:
+        other = None
+        place = " or ".join(f"[{each}]" if each else "no table" for each in elsewhere[:TABLES_NAMED])
+        expected, remedy = "no such key here", f"it stands in {place}"
     elif other := nearest(name, known):
         expected, remedy = f"{other}, the nearest known key", f"known here: {', '.join(known)}"
     else:

@@ -211,8 +211,7 @@ class _Expansion:
         return tables
 
     def _entries(self, key: str, entries: Any) -> Any:
-        """Expand the entries of a reference or a load: find and read their files. A load is a step by
-        default."""
+        """Expand the entries of a reference or a load, with their files. A load is a step by default."""
         if not isinstance(entries, list | tuple):
             return entries
         expanded = []
@@ -220,9 +219,10 @@ class _Expansion:
             if isinstance(entry, Mapping):
                 if key.startswith("load."):
                     entry = {"kind": "step", **entry}
-                if entry.get("kind") == "file" and isinstance(entry.get("path"), str):
-                    path = self._folder / entry["path"]
-                    self._attempt(f"{key}[{index}]", partial(load_signal, path))
+                name = entry.get("path")
+                if entry.get("kind") == "file" and isinstance(name, str):
+                    named_by, path = NamedBy(self._source, f"{key}[{index}].path", name), self._folder / name
+                    self._attempt(f"{key}[{index}]", partial(load_signal, path, named_by))
                     entry = {**entry, "path": str(path)}
             expanded.append(entry)
         return expanded

@@ -208,9 +208,8 @@ def _limits(config: BenchConfig) -> Iterator[Fault]:
         motor = drive.motor.parameters
         key = f"drive.{axis}.limits"
         if drive.limits.torque_max_nm > motor.torque_max_nm * TOLERANCE:
-            expected = (
-                f"at most {motor.torque_max_nm:.4g} N m, what {motor.name} gives at {motor.current_max_a:g} A"
-            )
+            gives = f"the motor {motor.name} gives at {motor.current_max_a:g} A"
+            expected = f"at most {motor.torque_max_nm:.4g} N m, what {gives}"
             yield f"{key}.torque_max_nm", drive.limits.torque_max_nm, expected, ""
         simulation = drive.simulation
         bandwidth_hz, fastest_hz = simulation.current_bandwidth_hz, simulation.inner_rate_hz / 8

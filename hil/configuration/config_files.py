@@ -11,7 +11,7 @@ tomlkit takes 40 ms to load: only a writer, or an error about a bad key, waits f
 
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NoReturn, TypeVar
+from typing import Any, Final, NoReturn, TypeVar, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
@@ -84,12 +84,16 @@ _DESCRIBED: Final = {
 """Errors for which the field's own description says more than the validator's."""
 
 
+_NO_TABLE: Final = {"tuple_type", "dict_type", "model_type", "model_attributes_type"}
+
+
 def translate(
     error: ValidationError, source: str, raw: Mapping[str, Any], model: type[BaseModel]
 ) -> list[BadInput]:
     """Return the faults of ``raw``, read from ``source``, as found by ``model``."""
-    if other := other_kind(raw, model.model_fields):
-        expected = f"a file with {', '.join(f'[{key}]' for key in sorted(_required(model)))}"
+    needed = _required(model) or set(model.model_fields)
+    if other := other_kind(raw, needed):
+        expected = f"a file with {', '.join(f'[{key}]' for key in sorted(needed))}"
         return [BadInput(source, "", f"a {other}", expected)]
     details = [
         item
@@ -156,12 +160,13 @@ def _translate_one(
         return BadInput(source, key, MISSING, _described(path, raw, model) or "a value: the key is required")
     if kind == "extra_forbidden":
         known = sorted(fields_at(path[:-1], raw, model))
-        return unknown_key(source, key, shown(detail["input"]), known)
+        return unknown_key(source, key, shown(detail["input"]), known, tables_with(path[-1], model))
     if kind in {"union_tag_not_found", "union_tag_invalid"}:
         kinds = [repr(name) for item in models_at(path, raw, model) for name in _kinds(item)]
         given = detail["input"].get("kind", MISSING) if isinstance(detail["input"], Mapping) else MISSING
         return BadInput(source, f"{key}.kind", shown(given), f"one of {_listed(kinds)}")
-    expected = _described(path, raw, model) if kind in _DESCRIBED else None
+    expected = _heading(path, raw, model, detail) if kind in _NO_TABLE else None
+    expected = expected or (_described(path, raw, model) if kind in _DESCRIBED else None)
     return BadInput(source, key, shown(detail["input"]), expected or _expected(detail))
 
 
@@ -243,6 +248,43 @@ def _described(path: Location, raw: Mapping[str, Any], model: type[BaseModel]) -
         return None
     fields = (item.model_fields.get(name) for item in models_at(path[:-1], raw, model))
     return next((field.description for field in fields if field and field.description), None)
+
+
+def _heading(
+    path: Location, raw: Mapping[str, Any], model: type[BaseModel], detail: ErrorDetails
+) -> str | None:
+    """Return how the tables at ``path`` are headed, where the table that holds them names each; else
+    None."""
+    if len(path) < 2 or not all(isinstance(step, str) for step in path):
+        return None
+    holders = [item.model_fields.get(str(path[-2])) for item in models_at(path[:-2], raw, model)]
+    if not any(field and _names_tables(field.annotation) for field in holders):
+        return None
+    # What is no table is a key of one whose name was left out.
+    name = dotted(path) if isinstance(detail["input"], Mapping) else f"{dotted(path[:-1])}.NAME"
+    return f"tables, each headed [[{name}]]" if detail["type"] == "tuple_type" else f"a table headed [{name}]"
+
+
+def _names_tables(annotation: Any) -> bool:
+    return get_origin(annotation) is dict and bool(models_in(annotation))
+
+
+def tables_with(name: int | str, model: type[BaseModel]) -> list[str]:
+    """Return the headings of a file's tables with the key ``name``, the outermost first:
+    ``drive.NAME.limits``."""
+    found: list[str] = []
+    waiting: list[tuple[str, type[BaseModel]]] = [("", model)]
+    seen: set[type[BaseModel]] = set()
+    for heading, table in waiting:
+        if table in seen:
+            continue
+        seen.add(table)
+        if name in table.model_fields and heading not in found:
+            found.append(heading)
+        for key, field in table.model_fields.items():
+            inner = f"{heading}.{key}".removeprefix(".") + (".NAME" * _names_tables(field.annotation))
+            waiting.extend((inner, each) for each in models_in(field.annotation))
+    return found
 
 
 def fields_at(path: Location, raw: Mapping[str, Any], model: type[BaseModel]) -> set[str]:

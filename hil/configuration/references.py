@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from servobench.drivers.bounded_file import NamedBy, read_bytes
 from servobench.drivers.errors import BadInput
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.hil.configuration.config_files import Section
@@ -66,12 +67,10 @@ class Signal:
     """From the first point to the last; 0 for a speed or a torque, which have no place to go on from."""
 
 
-def load_signal(path: Path) -> Signal:
-    """Load the signal in a file. Raises BadInput, naming file, column and value."""
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise BadInput(str(path), "file", error.strerror or str(error), "a file that is there") from None
+def load_signal(path: Path, named_by: NamedBy | None = None) -> Signal:
+    """Load the signal in a file; ``named_by``: its source. Raises BadInput, naming file, column and value."""
+    size_bytes = path.stat().st_size if path.is_file() else 0  # rows are bounded, not bytes
+    content = read_bytes(path, "signal file", named_by, size_bytes)
     key = path, blake2b(content, digest_size=16).digest()
     if key not in _parsed:
         while len(_parsed) >= _PARSED_MAX:

@@ -21,8 +21,9 @@ from pathlib import Path
 from types import CodeType, FrameType, ModuleType
 from typing import Any, Final, NoReturn, TypeVar
 
-from servobench.drivers.errors import BadInput, BenchError
+from servobench.drivers.errors import MISSING, BadInput, BenchError
 from servobench.drivers.exchange import Command
+from servobench.drivers.key_advice import unknown_key
 from servobench.drivers.record import values_of
 from servobench.drivers.timebase import NS_PER_S, Instant, MonotonicClock
 from servobench.hil.control.setup import Setup
@@ -87,15 +88,37 @@ _REQUIRED: Final[Mapping[type, Sequence[str]]] = {Controller: ["output"], Compen
 
 def _made(role: type[Role], name: str, parameters: Mapping[str, Any], setup: Setup) -> Role:
     key = f"drive.{setup.axis}.{role.__name__.lower()}"
-    named = _class_of(role, name, setup.source, f"{key}.object")
+    maker: Any = _class_of(role, name, setup.source, f"{key}.object")
+    _check_parameters(maker, name, parameters, setup, f"{key}.parameters")
     try:
-        maker: Any = named
         with held_process():
             made: Role = maker(setup, **parameters)
     except FAILURES as error:
-        takes = f"what {name} takes beside the setup"
-        raise BadInput(setup.source, f"{key}.parameters", dict(parameters), takes, told(error)) from error
+        takes, reason = f"values that {name} can be made with", _placed(error, name.rpartition(":")[0])
+        raise BadInput(setup.source, f"{key}.parameters", dict(parameters), takes, reason) from error
     return made
+
+
+def _check_parameters(maker: Any, name: str, parameters: Mapping[str, Any], setup: Setup, key: str) -> None:
+    """Raise BadInput for a parameter that the class does not take, or has no default for."""
+    try:
+        signature = inspect.signature(maker)
+    except (TypeError, ValueError):
+        return  # it tells none: making it will say
+    takes = list(signature.parameters.values())[1:]
+    if any(each.kind is each.VAR_KEYWORD for each in takes):
+        return
+    by_name = {
+        each.name: each for each in takes if each.kind in (each.POSITIONAL_OR_KEYWORD, each.KEYWORD_ONLY)
+    }
+    for given in parameters:
+        if given not in by_name:
+            raise unknown_key(setup.source, f"{key}.{given}", parameters[given], list(by_name))
+    for each in by_name.values():
+        if each.default is each.empty and each.name not in parameters:
+            raise BadInput(
+                setup.source, f"{key}.{each.name}", MISSING, f"a value: {name} has no default for it"
+            )
 
 
 def _class_of(role: type[Role], name: str, source: str, key: str) -> type[Role]:

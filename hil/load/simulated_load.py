@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from servobench.design.motor import PmsmParameters
+from servobench.drivers.bounded_file import NamedBy
 from servobench.drivers.errors import BadInput
 from servobench.hil.configuration.references import Signal, load_signal
 from servobench.hil.loop.scenario import Quantity
@@ -35,7 +36,7 @@ def load_tables(asked: Sequence[str], nodes: Sequence[int]) -> dict[int, LoadTab
         if not name or not node.isdecimal() or len(node) > 3 or int(node) not in nodes or int(node) in tables:
             listed = ", ".join(map(str, nodes))
             raise BadInput(OPTION, "", text, f"NODE=FILE with one of the nodes {listed}, each once")
-        signal = load_signal(Path(name))
+        signal = load_signal(Path(name), NamedBy(OPTION, "", name))
         if signal.quantity is not Quantity.TORQUE:
             raise BadInput(OPTION, "", text, "a file with torque_nm")
         tables[int(node)] = load_table(signal)

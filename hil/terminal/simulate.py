@@ -51,8 +51,7 @@ class SimulateOptions:
         valued(
             "--like",
             "NAME",
-            "A preset of hil presets, or a file: supply, sensors and the like, "
-            "drive.NAME.simulation.like of a bench.",
+            "A preset of hil presets, or a file: supply, sensors and the like; simulation.like of a bench.",
         ),
     ] = None
     faults: DriveFaultsOption = None

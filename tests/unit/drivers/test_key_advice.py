@@ -31,6 +31,37 @@ def test_an_unknown_key_is_answered_with_what_was_meant(
     assert (meant or "no such key") in error.expected
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "remedy"),
+    [
+        ("frequency_hz", 1000, "write period_us = 1000"),
+        ("rate_khz", 0.5, "write period_us = 2000"),
+        ("frequency_hz", 0, "known here: period_us"),
+        ("frequency_hz", True, "known here: period_us"),
+        ("frequency_hz", "1 kHz", "known here: period_us"),
+        ("angle_rad", 1, "known here: period_us"),
+    ],
+)
+def test_a_frequency_is_told_as_the_period_that_it_means(key: str, value: object, remedy: str) -> None:
+    assert unknown_key("file.toml", f"loop.{key}", value, ["period_us"]).remedy == remedy
+
+
+@pytest.mark.parametrize(
+    ("elsewhere", "expected", "remedy"),
+    [
+        (["loop"], "no such key here", "it stands in [loop]"),
+        (["host", "drive.NAME"], "no such key here", "it stands in [host] or [drive.NAME]"),
+        (["", "host", "drive.NAME"], "no such key here", "it stands in no table or [host]"),
+        (["a", "b", "c", "d"], "no such key", "known here: delay_us, probability, from_s, speed_max_rpm"),
+    ],
+)
+def test_a_key_of_another_table_is_told_with_its_table(
+    elsewhere: list[str], expected: str, remedy: str
+) -> None:
+    error = unknown_key("file.toml", "bench.zzz", 1, KNOWN, elsewhere)
+    assert (error.expected, error.remedy, error.meant) == (expected, remedy, None)
+
+
 def test_units_are_the_last_words_of_a_key() -> None:
     assert split_unit("speed_max_rad_s") == ("speed_max", "rad/s")
     assert same_quantity("delay_ms", KNOWN) == "delay_us"

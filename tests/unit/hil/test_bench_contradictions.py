@@ -186,7 +186,14 @@ CONTRADICTIONS: list[tuple[str, dict[str, Any], list[Said]]] = [
     (
         ONE,
         {"drive.axis1.limits.torque_max_nm": 6.0},
-        [("drive.axis1.limits.torque_max_nm", 6.0, "at most 5.996 N m, what Ling2012 gives at 15 A", "")],
+        [
+            (
+                "drive.axis1.limits.torque_max_nm",
+                6.0,
+                "at most 5.996 N m, what the motor Ling2012 gives at 15 A",
+                "",
+            )
+        ],
     ),
     (
         ONE,

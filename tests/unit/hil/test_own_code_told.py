@@ -158,11 +158,52 @@ def test_parameters_that_a_class_does_not_take(mine: Path) -> None:
     name = f"{mine}:Mine"
     assert said(lambda: guarded_controller(name, {"gain": 1.0}, SETUP)) == (
         "bench.toml",
-        "drive.axis1.controller.parameters",
-        {"gain": 1.0},
-        f"what {name} takes beside the setup",
-        "TypeError: Mine.__init__() got an unexpected keyword argument 'gain'",
+        "drive.axis1.controller.parameters.gain",
+        1.0,
+        "no such key",
+        "known here: answer, channels, told, fails",
     )
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({}, "drive.axis1.controller.parameters.gain: missing, expected a value: {} has no default for it"),
+        (
+            {"gain": 1.0, "bandwith_hz": 2.0},
+            "drive.axis1.controller.parameters.bandwith_hz: found 2.0, expected bandwidth_hz, "
+            "the nearest known key; known here: gain, bandwidth_hz",
+        ),
+        (
+            {"gain": "high"},
+            "drive.axis1.controller.parameters: found {{'gain': 'high'}}, expected values that {} "
+            "can be made with; own.py:4: TypeError: can't multiply sequence by non-int of type 'float'",
+        ),
+    ],
+)
+def test_a_class_is_made_with_its_own_parameters(tmp_path: Path, given: dict[str, Any], told: str) -> None:
+    path = tmp_path / "own.py"
+    path.write_text(
+        "from servobench import Controller\n"
+        "class Own(Controller):\n    def __init__(self, setup, gain, *, bandwidth_hz=1.0):\n"
+        "        self.gain = gain * 2.0\n"
+        "    def output(self, context):\n        pass\n"
+    )
+    name = f"{path}:Own"
+    with pytest.raises(BadInput) as caught:
+        guarded_controller(name, given, SETUP)
+    assert str(caught.value) == f"bench.toml: {told.format(name)}"
+    guarded_controller(name, {"gain": 1.0, "bandwidth_hz": 2.0}, SETUP)
+
+
+def test_a_class_may_take_whatever_is_given(tmp_path: Path) -> None:
+    path = tmp_path / "own.py"
+    path.write_text(
+        "from servobench import Controller\n"
+        "class Own(Controller):\n    def __init__(self, setup, **given):\n"
+        "        assert given == {'gain': 1.0}\n    def output(self, context):\n        pass\n"
+    )
+    guarded_controller(f"{path}:Own", {"gain": 1.0}, SETUP)
 
 
 def test_channels_that_no_table_takes(mine: Path) -> None:
