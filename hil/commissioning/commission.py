@@ -8,9 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from servobench.drivers.canopen.objects import RemoteObjects
 from servobench.drivers.canopen.objects301 import Cia301
-from servobench.drivers.cia402.drive_setup import read_identity
 from servobench.drivers.cia402.servo import ServoDrive
 from servobench.drivers.cia402.supervision import Release
 from servobench.drivers.errors import BadInput, BenchError, PeerFault
@@ -37,13 +35,13 @@ from servobench.hil.commissioning.steps_static import BusCheck, DumpStep, Identi
 from servobench.hil.commissioning.steps_stopping import StopProof, StopSettings
 from servobench.hil.commissioning.steps_units import MotionUnits, Polarity, Turn
 from servobench.hil.commissioning.steps_voltage import VoltageConstant
-from servobench.hil.execution.world import World, WorldPlan, drive_network, open_world
+from servobench.hil.execution.world import World, WorldPlan, open_world
 from servobench.hil.machine.realtime import timing_conditions
 from servobench.hil.machine.stopping import stop_signals
-from servobench.hil.restoring.journal import DriveMark, JournaledNetwork, append_restored, read_journal
-from servobench.hil.restoring.restore import DISABLED, await_answer, restore
+from servobench.hil.restoring.journal import JournaledNetwork
+from servobench.hil.restoring.restore import DISABLED, restore
 from servobench.hil.rows.run_files import BENCH_FILE, COMMISSIONING_RECORDING
-from servobench.hil.write_lists import COMMISSION, RESTORE
+from servobench.hil.write_lists import COMMISSION
 from servobench.virtual_bus.device.canopen_device import CanopenDevice
 
 
@@ -76,8 +74,6 @@ SAVE: bytes = b"save"
 """Signature required by 1010h (CiA 301 7.5.2.13)."""
 _STORE_LIMIT = Duration(2 * NS_PER_S)
 """A drive answers 1010h once its memory is written (CiA 301 7.5.2.13), long after any other download."""
-_ANSWER_LIMIT = Duration(5 * NS_PER_S)
-"""A drive that was just switched on boots in a second or two."""
 
 
 def run_command(
@@ -269,44 +265,3 @@ def _store(session: Session, left: DriveLeft) -> None:
     finally:
         network.sdo_timeout_s = before
     network.pump(network.deadline_after(Duration(50 * NS_PER_MS)))
-
-
-def run_restore(journal: Path, bus: str | None) -> dict[str, Any]:
-    """Run ``hil restore``; return its result. ``bus``: None: that of the journal.
-
-    Raises PeerFault if the node is another drive now, NoAnswer or BusDown if it cannot be reached.
-    """
-    contents = read_journal(journal)
-    head = contents.head
-    if bus is None:
-        parse_bus_spec(head.bus, str(journal), "bus")
-    with stop_signals(), drive_network(bus or head.bus, head.bitrate_bit_s, RESTORE) as network:
-        await_answer(network, head.node, _ANSWER_LIMIT)
-        check_mark(RemoteObjects(network, head.node), head.mark)
-        result = restore(network, contents, say)
-    text = [f"{result.objects} objects, {result.written} had to be written"]
-    if result.complete:
-        append_restored(journal)
-        text.append("everything is as it was, byte for byte")
-    else:
-        text += [f"still different: {failure}" for failure in result.failures]
-    return {
-        "objects": result.objects,
-        "written": result.written,
-        "complete": result.complete,
-        "failures": result.failures,
-        "text": text,
-    }
-
-
-def check_mark(objects: RemoteObjects, mark: DriveMark) -> None:
-    """Raise PeerFault if the node is another drive than the journal's."""
-    identity = read_identity(objects)
-    here = DriveMark(identity.vendor, identity.product, identity.serial)
-    if here != mark:
-        raise PeerFault(
-            f"node {objects.node_id} is not the drive of the journal",
-            f"vendor, product and serial number are {here.vendor:X}h, {here.product:X}h, {here.serial}; "
-            f"the journal is of {mark.vendor:X}h, {mark.product:X}h, {mark.serial}",
-            "connect the drive whose journal it is",
-        )

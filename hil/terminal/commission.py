@@ -153,7 +153,7 @@ def restore(
     Examples:
       hil restore lab/journal.jsonl   # a real drive
     """
-    from servobench.hil.commissioning.commission import run_restore
+    from servobench.hil.commissioning.restore_command import run_restore
 
     outcome: dict[str, Any] = run_restore(journal, bus)
     put(outcome, as_json, lambda _figures: say("\n".join(outcome["text"])))

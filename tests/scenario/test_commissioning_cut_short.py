@@ -32,11 +32,12 @@ from servobench.drivers.timebase import NS_PER_S, Instant
 from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.drivers.wire.link import BusLink, StampSource
 from servobench.drivers.written_file import DiskFull
-from servobench.hil.commissioning.commission import all_steps, check_mark, commission
+from servobench.hil.commissioning.commission import all_steps, commission
 from servobench.hil.commissioning.dialog import Dialog, EmergencyStop
 from servobench.hil.commissioning.findings import StepOutcome, StepVerdict
 from servobench.hil.commissioning.report import Commissioned
 from servobench.hil.commissioning.request import CommissionRequest, Nameplate
+from servobench.hil.commissioning.restore_command import check_mark
 from servobench.hil.commissioning.sequence import Step
 from servobench.hil.commissioning.session import Session
 from servobench.hil.execution.world import World, WorldPlan, open_world

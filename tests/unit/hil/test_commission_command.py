@@ -17,12 +17,14 @@ from servobench.drivers.cia402.supervision import Release
 from servobench.drivers.errors import BadInput, PeerFault
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from servobench.hil.commissioning import commission as module
-from servobench.hil.commissioning.commission import _rest, _store, check_mark, run_command, run_restore
+from servobench.hil.commissioning import restore_command
+from servobench.hil.commissioning.commission import _rest, _store, run_command
 from servobench.hil.commissioning.dialog import Dialog, EmergencyStop, Terminal, say
 from servobench.hil.commissioning.drive_left import DriveLeft
 from servobench.hil.commissioning.findings import StepOutcome, StepRecord, StepVerdict
 from servobench.hil.commissioning.report import Commissioned, as_json
 from servobench.hil.commissioning.request import CommissionRequest, Nameplate
+from servobench.hil.commissioning.restore_command import check_mark, run_restore
 from servobench.hil.commissioning.session import Session
 from servobench.hil.restoring.journal import (
     DriveMark,
@@ -294,12 +296,12 @@ class Restored:
             self.done.append("restored")
             return result
 
-        monkeypatch.setattr(module, "drive_network", drive_network)
-        monkeypatch.setattr(module, "await_answer", lambda _over, *asked: self.done.append(asked))
+        monkeypatch.setattr(restore_command, "drive_network", drive_network)
+        monkeypatch.setattr(restore_command, "await_answer", lambda _over, *asked: self.done.append(asked))
         monkeypatch.setattr(
-            module, "check_mark", lambda objects, mark: self.done.append((objects.node_id, mark))
+            restore_command, "check_mark", lambda objects, mark: self.done.append((objects.node_id, mark))
         )
-        monkeypatch.setattr(module, "restore", restore)
+        monkeypatch.setattr(restore_command, "restore", restore)
 
 
 def test_a_drive_that_is_as_it_was_has_it_noted_in_its_journal(
@@ -345,7 +347,7 @@ def test_another_drive_than_that_of_the_journal_is_refused(
 ) -> None:
     def objects_of(vendor: int, product: int, serial: int) -> Any:
         identity = Identity("x", vendor, product, 9, serial, 402)
-        monkeypatch.setattr(module, "read_identity", lambda _objects: identity)
+        monkeypatch.setattr(restore_command, "read_identity", lambda _objects: identity)
         return SimpleNamespace(node_id=7)
 
     check_mark(objects_of(*MARK), MARK)

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from servobench.hil.cli import app
-from servobench.hil.commissioning import commission, rehearsal
+from servobench.hil.commissioning import commission, rehearsal, restore_command
 from servobench.hil.commissioning.request import CommissionRequest, Nameplate, load_nameplate
 
 SEPARATE = {"yes": False, "rehearse": None, "rehearse_eds": None, "plate_given": False}
@@ -43,7 +43,7 @@ class Handed:
 def handed(monkeypatch: pytest.MonkeyPatch) -> Handed:
     made = Handed()
     monkeypatch.setattr(commission, "run_command", made.commission)
-    monkeypatch.setattr(commission, "run_restore", made.restore)
+    monkeypatch.setattr(restore_command, "run_restore", made.restore)
     monkeypatch.setattr(rehearsal, "rehearse", made.rehearse)
     return made
 

@@ -15,6 +15,7 @@ from packaging.requirements import Requirement
 import servobench
 from servobench.hil.machine.extras import EXTRAS, MissingExtra, is_installed, missing_extra
 from servobench.hil.machine.held_process import OWN_FILES
+from servobench.hil.restoring.journal import DriveMark, Journal, JournalHead
 
 ROOT = Path(__file__).parents[3]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -135,6 +136,14 @@ def test_the_fixtures_of_pytest_run_a_bench(core: Path) -> None:
 )
 def test_a_command_says_which_extra_it_lacks(core: Path, line: str, extra: str) -> None:
     said(hil(core, *line.split(), within="mybench"), line, extra)
+
+
+@pytest.mark.long
+def test_a_drive_is_put_back_without_an_extra(core: Path) -> None:
+    head = JournalHead("hub:nobody", 7, DriveMark(0x1A, 0x2B, 3), None, None)
+    Journal(core / "journal.jsonl", head).close()
+    done = hil(core, "restore", "journal.jsonl")
+    assert (done.returncode, "node 7 on hub:nobody did not answer" in done.stderr) == (3, True), done.stderr
 
 
 def said(done: subprocess.CompletedProcess[str], line: str, extra: str) -> None:
