@@ -160,7 +160,10 @@ def _translate_one(
         return BadInput(source, key, MISSING, _described(path, raw, model) or "a value: the key is required")
     if kind == "extra_forbidden":
         known = sorted(fields_at(path[:-1], raw, model))
-        return unknown_key(source, key, shown(detail["input"]), known, tables_with(path[-1], model))
+        elsewhere = tables_with(path[-1], model)
+        if any(_is_of(path[:-1], heading) for heading in elsewhere):
+            elsewhere = []  # this very table has it, where it is of another kind
+        return unknown_key(source, key, shown(detail["input"]), known, elsewhere)
     if kind in {"union_tag_not_found", "union_tag_invalid"}:
         kinds = [repr(name) for item in models_at(path, raw, model) for name in _kinds(item)]
         given = detail["input"].get("kind", MISSING) if isinstance(detail["input"], Mapping) else MISSING
@@ -285,6 +288,14 @@ def tables_with(name: int | str, model: type[BaseModel]) -> list[str]:
             inner = f"{heading}.{key}".removeprefix(".") + (".NAME" * _names_tables(field.annotation))
             waiting.extend((inner, each) for each in models_in(field.annotation))
     return found
+
+
+def _is_of(path: Location, heading: str) -> bool:
+    """Return True if ``heading`` is that of the table at ``path``."""
+    steps, names = [step for step in path if isinstance(step, str)], heading.split(".") if heading else []
+    return len(steps) == len(names) and all(
+        name in (step, "NAME") for step, name in zip(steps, names, strict=True)
+    )
 
 
 def fields_at(path: Location, raw: Mapping[str, Any], model: type[BaseModel]) -> set[str]:
