@@ -24,8 +24,8 @@
 #                    most SECONDS
 #   make outages     have the adapter of drawn benches take no frames, be down and lose what comes, in simulated time
 #                    and on a hub: no false pass, nothing unaccounted, no drive left turning; SECONDS each
-#   make attack      certify peaks of drawn loops over lost readings and commands, and have another simulation search
-#                    for more, for at most SECONDS
+#   make attack      certify peaks of drawn loops over lost readings and commands, inertias and delays, and have another
+#                    simulation search for more, for at most SECONDS
 #   make sheets      have hil eds, hil commission and hil run at each of 40 made-up data sheets, and before them at
 #                    vendors' own (SHEETS=FOLDER), on the hub, with a third party that writes every frame down;
 #                    for at most SECONDS (1800 unless said), of the made-up ones from FIRST on

@@ -23,13 +23,28 @@ from servobench.design.errors import NoSolution
 _ROWS = 4
 """Error rows of an edge given to the solver; the norms are then scaled to all."""
 _MARGIN, _SLACK = 1e-5, 1e-9
-"""Margin asked of the solver, and the least eigenvalue that counts as proof, where P is of size 1."""
+"""Margin asked of the solver, where P is of size 1, and the share of a size that rounding may add."""
 _TOLERANCE = 1e-8
 _ROUNDS, _CLOSE = 4000, 1e-6
 _FLOOR = 1e-3
 """Share of the largest value that every direction is given, so that none is without a size."""
+_DECAY_PARTS = (0.7, 0.4, 0.15)
+"""Shares of the decay of the slowest cycle known, asked of norms in turn."""
+_CYCLES_MAX = 100_000
 _SHRUNK = 0.97
 """Factor of the steps in the search for coordinates, where they do not decay on average."""
+
+
+class Elsewhere(NamedTuple):
+    """A step's departure, where its command acts at another instant: at most ``row`` d times these."""
+
+    row: Array
+    """(k,), on d after its first jump."""
+    state: Array
+    """(k,), entry by entry."""
+    error: float
+    at_end: bool
+    """True for the least and the largest delay: the solver is asked for these alone."""
 
 
 class NormedEdge(NamedTuple):
@@ -45,25 +60,67 @@ class NormedEdge(NamedTuple):
     """(N, k, k): what d passes first, in one of these variants or their hull."""
     between: Array
     """(N, B, k) for each of these: between its instants an error is larger by at most the sum of |b d|."""
-    unsure: Array | None = None
-    """(k, k): M may differ by X times the first, |X| at most this, entry by entry; None: not at all."""
-    rows_unsure: Array | None = None
+    unsure: Array
+    """(k, k): M may differ by X times the first, |X| at most this, entry by entry."""
+    rows_unsure: Array
     """(W, k): the same of rows."""
-    room: float = 0.0
-    """Share by which the norms fall, for that."""
+    room: float
+    """Share by which the norms fall, for that and for other begins of a command."""
+    elsewhere: Elsewhere | None
+    posed: bool
+    """False: the solver is not asked; the norms have to bear it all the same."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FallingNorms:
+    """T (nodes, k, k)."""
+
+    T: Array
+    left: float
+    """What every step leaves of a size, at most."""
+
+    def directions(self, size: float) -> tuple[NDArray[np.intp], Array]:
+        """Return the (N,) nodes and (N, k) multiples of unit vectors that are of this size."""
+        nodes, k, _ = self.T.shape
+        lengths = size / np.linalg.norm(self.T, axis=1)
+        return np.repeat(np.arange(nodes), k), (lengths[:, :, None] * np.eye(k)).reshape(-1, k)
+
+    def sizes(self, nodes: NDArray[np.intp], d: Array) -> Array:
+        """Return V of each row of ``d`` (N, k) at its node (N,)."""
+        sizes = np.empty(len(d))
+        for node in np.unique(nodes):
+            own = nodes == node
+            sizes[own] = np.linalg.norm(d[own] @ self.T[node].T, axis=1)
+        return sizes
 
 
 class Norms:
     """Norms of one graph, one that is smallest at the begin and others that are at states reached later."""
 
-    def __init__(self, edges: Sequence[NormedEdge], nodes: int, starts: Array) -> None:
-        """Raises NoSolution where there are none."""
+    def __init__(
+        self, edges: Sequence[NormedEdge], nodes: int, starts: Array, *, falling: bool = True
+    ) -> None:
+        """``falling``: the first is to fall with every step, and may be larger at the begin for it. Raises
+        NoSolution where there are none."""
         self._edges, self._nodes = edges, nodes
-        at = np.repeat(np.arange(nodes), len(starts))
-        first = falling_norms(edges, nodes, at, np.tile(starts, (nodes, 1)))
+        at, tiled = np.repeat(np.arange(nodes), len(starts)), np.tile(starts, (nodes, 1))
+        first = falling_norms(edges, nodes, at, tiled)
         if first is None:
             raise NoSolution("certificate of the peak", "no norms were found that fall along every sequence")
-        self.first, self._all = first, [first]
+        faster = self._faster(first, float(first.sizes(at, tiled).max())) if falling else first
+        self.first = faster
+        """That of radii."""
+        self._all = [first] if faster is first else [first, faster]
+
+    def _faster(self, first: FallingNorms, size: float) -> FallingNorms:
+        """Return norms that fall faster than ``first``; this one where none were found."""
+        decay = -math.log(slowest_cycle(self._edges, self._nodes))
+        at, units = first.directions(size)
+        for part in _DECAY_PARTS if decay > 0.0 else ():
+            faster = falling_norms(self._edges, self._nodes, at, units, math.exp(part * decay))
+            if faster is not None:
+                return faster
+        return first
 
     def sizes(self, nodes: NDArray[np.intp], d: Array) -> Array:
         """Return (N,): what no error behind each of ``d`` (N, k) exceeds, by the best norm."""
@@ -76,27 +133,12 @@ class Norms:
             self._all.append(further)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FallingNorms:
-    """T (nodes, k, k)."""
-
-    T: Array
-
-    def sizes(self, nodes: NDArray[np.intp], d: Array) -> Array:
-        """Return V of each row of ``d`` (N, k) at its node (N,)."""
-        sizes = np.empty(len(d))
-        for node in np.unique(nodes):
-            own = nodes == node
-            sizes[own] = np.linalg.norm(d[own] @ self.T[node].T, axis=1)
-        return sizes
-
-
 def falling_norms(
-    edges: Sequence[NormedEdge], nodes: int, at: NDArray[np.intp], starts: Array
+    edges: Sequence[NormedEdge], nodes: int, at: NDArray[np.intp], starts: Array, growth: float = 1.0
 ) -> FallingNorms | None:
     """Return norms that are smallest at ``starts`` (N, k), each at its node of ``at`` (N,).
 
-    None if the solver has none that can be proved.
+    ``growth``: by how much every step is to make them fall. None if the solver has none that can be proved.
     """
     coordinates = _coordinates(edges, nodes)
     if coordinates is None:
@@ -106,10 +148,9 @@ def falling_norms(
         NormedEdge(
             edge.source,
             edge.target,
-            (1.0 + edge.room) * coordinates[edge.target] @ edge.M @ inverses[edge.source],
+            growth * (1.0 + edge.room) * coordinates[edge.target] @ edge.M @ inverses[edge.source],
             edge.rows @ inverses[edge.source],
-            edge.firsts,
-            edge.between,
+            *edge[4:],
         )
         for edge in edges
     ]
@@ -118,31 +159,64 @@ def falling_norms(
     if y is None:
         return None
     P = [problem.unknowns.value(f"P{node}", y) for node in range(nodes)]
-    for edge in turned:
-        images = edge.M.transpose(0, 2, 1) @ P[edge.target] @ edge.M
-        if np.linalg.eigvalsh(P[edge.source] - images)[:, 0].min() < _SLACK:
-            return None
     try:
         T = np.array([cholesky(each) for each in P])
     except np.linalg.LinAlgError:
         return None
     own = T @ coordinates
-    within = [_largest_error(edge, own) for edge in edges]
-    return FallingNorms(max(within) * own) if np.isfinite(within).all() else None
+    left = max(left_by(edge, own) for edge in edges)
+    if left > 1.0:
+        return None
+    return FallingNorms(max(_largest_error(edge, own) for edge in edges) * own, left)
+
+
+def left_by(edge: NormedEdge, T: Array) -> float:
+    """Return what ``edge`` leaves of a size, at most."""
+    inverse = np.linalg.inv(T[edge.source])
+    left = float(np.linalg.norm(T[edge.target] @ edge.M @ inverse, 2, axis=(1, 2)).max()) + _SLACK
+    if not edge.room:
+        return left
+    passed = np.abs(edge.firsts @ inverse).max(axis=0)
+    left += float(np.linalg.norm(np.abs(T[edge.target]) @ edge.unsure @ passed, 2))
+    if edge.elsewhere is not None:
+        changed = float(np.linalg.norm(edge.elsewhere.row @ edge.firsts @ inverse, axis=1).max())
+        left += changed * float(np.linalg.norm(np.abs(T[edge.target]) @ edge.elsewhere.state))
+    return left
+
+
+def slowest_cycle(edges: Sequence[NormedEdge], nodes: int) -> float:
+    """Return the largest spectral radius of a period, over cycles of a few steps."""
+    walks = [(edge.source, edge.target, edge.M[[0, -1]]) for edge in edges]
+    slowest, ways = 0.0, walks
+    for length in range(1, nodes + 1):
+        for source, target, M in ways:
+            if source == target:
+                radius = float(np.abs(np.linalg.eigvals(M)).max())
+                slowest = max(slowest, radius ** (1.0 / length))
+        if length * len(ways) * len(walks) > _CYCLES_MAX:
+            break
+        ways = [
+            (source, beyond, (step[:, None] @ M[None]).reshape(-1, *M.shape[1:])[[0, -1]])
+            for source, target, M in ways
+            for begin, beyond, step in walks
+            if begin == target
+        ]
+    return slowest
 
 
 def _largest_error(edge: NormedEdge, T: Array) -> float:
-    """Return the largest error along ``edge`` from a d of size 1; inf where what is unsure of M may enlarge a
-    norm."""
+    """Return the largest error along ``edge`` from a d of size 1."""
     inverse = np.linalg.inv(T[edge.source])
     between = np.linalg.norm(edge.between @ inverse, axis=2).sum(axis=1).max()
     largest = float(np.linalg.norm(edge.rows @ inverse, axis=1).max() + between)
-    if edge.unsure is None or edge.rows_unsure is None:
+    if not edge.room:
         return largest
     passed = np.abs(edge.firsts @ inverse).max(axis=0)
-    if 1.0 / (1.0 + edge.room) + np.linalg.norm(np.abs(T[edge.target]) @ edge.unsure @ passed, 2) > 1.0:
-        return math.inf
-    return largest + float(np.linalg.norm(edge.rows_unsure @ passed, axis=1).max())
+    largest += float(np.linalg.norm(edge.rows_unsure @ passed, axis=1).max())
+    if edge.elsewhere is not None:
+        changed = float(np.linalg.norm(edge.elsewhere.row @ edge.firsts @ inverse, axis=1).max())
+        largest += changed * edge.elsewhere.error
+    return largest
 
 
 def _problem(edges: Sequence[NormedEdge], nodes: int, at: NDArray[np.intp], starts: Array) -> LmiProblem:
@@ -163,7 +237,7 @@ def _problem(edges: Sequence[NormedEdge], nodes: int, at: NDArray[np.intp], star
             above = MatrixInequality.positive(unknowns, f"P{edge.source}")
             above.constant -= np.outer(row, row)
             inequalities.append(above)
-        for M in edge.M:
+        for M in edge.M if edge.posed else ():
             falls = MatrixInequality.positive(unknowns, f"P{edge.source}")
             falls.add_form(unknowns, f"P{edge.target}", M.T, -1.0)
             inequalities.append(falls)

@@ -43,6 +43,10 @@ class Remembering(Protocol):
         """From sample to sample."""
 
     @property
+    def newest(self) -> int:
+        """Place of its newest command in xi; behind it are the ones before."""
+
+    @property
     def quiet(self) -> Hashable:
         """A memory without losses, long after the last load step."""
 

@@ -7,7 +7,8 @@ most so many of each; an edge is a period. The walks are searched best first
 """
 
 import itertools
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -19,17 +20,21 @@ from servobench.design.sampled.peak_steps import PeakBound
 from servobench.design.sampled.peak_tree import Leaves, bounded_peak, joined
 from servobench.design.sampled.random_losses import Outcome
 from servobench.design.sampled.stepped_load import LoadedPeriod, NormedWalks, Shafts, SteppedLoad
+from servobench.design.sampled.varying_delay import GRIDS, DelayRange
 
 _CLOSENESS, _LEAVES_MAX = 3e-3, 300_000
+_CLOSENESS_OF_DELAYS = 1e-2
+"""The same where delays vary: what lies between those of the grid widens every leaf."""
 _LEAVES_OF_PART = 150_000
-"""The same for each part of a range of inertias."""
+"""The same for each part of a range of inertias, and where delays vary."""
 _WIDEST = 1.2
 """Largest inertia over the smallest of a part of a range that is tried first."""
-_NARROWEST = 1.01
+NARROWEST = 1.01
 """The same of a part that is not halved again where there are no norms for all of it."""
 
-Peak = Callable[[Shafts, tuple[float, float]], PeakBound]
-"""The bound over some inertias; an error known to be reached, and a bound of those passed elsewhere."""
+Peak = Callable[[Shafts, tuple[float, float], float], PeakBound]
+"""The bound over some inertias; an error known to be reached, and a bound of those passed elsewhere; how
+close the grid of delays is."""
 
 
 class Move(NamedTuple):
@@ -43,52 +48,75 @@ class Move(NamedTuple):
 
 
 def losses_peak(
-    controller: Remembering, readings_max: int, commands_max: int, inertias: tuple[float, float] = (1.0, 1.0)
+    controller: Remembering,
+    readings_max: int,
+    commands_max: int,
+    inertias: tuple[float, float] = (1.0, 1.0),
+    delays: DelayRange | None = None,
 ) -> PeakBound:
     """Return the largest error after a load step of 1 N m, rad/s, certified and reached, with at most so many
     readings and commands lost in a row.
 
-    ``inertias``: smallest and largest, as multiples of the model's. Raises NoSolution.
+    ``inertias``: smallest and largest, as multiples of the model's; ``delays``: None: that of the loop.
+    Raises NoSolution.
     """
     moves = list(walked(controller, readings_max, commands_max))
     nodes = 1 + max(move.target for move in moves)
     usual = controller.chain(controller.quiet, Outcome(reading=False, command=False))
 
-    def peak(shafts: Shafts, known: tuple[float, float]) -> PeakBound:
-        step = SteppedLoad(controller.loop, controller.period_s, usual, shafts)
-        edges = [(move, step.maps(controller.chain(move.memory, move.outcome))) for move in moves]
+    def peak(shafts: Shafts, known: tuple[float, float], close: float) -> PeakBound:
+        step = SteppedLoad(controller.loop, controller.period_s, usual, shafts, close)
+        edges = [
+            (move, period)
+            for move in moves
+            for period in step.periods(controller.chain(move.memory, move.outcome), controller.newest, delays)
+        ]
         normed = [step.edge(move.source, move.target, period, period.first[None]) for move, period in edges]
         norms = Norms(normed, nodes, step.starts[:, 0])
         first = joined([step.begun(node, norms.first, np.zeros((1, 0))) for node in range(nodes)])
         both = max(known[0], step.known[0]), max(known[1], step.known[1])
-        leaves_max = _LEAVES_OF_PART if shafts.half else _LEAVES_MAX
-        return bounded_peak(_Walks(edges, norms, step), first, both, _CLOSENESS, leaves_max)
+        leaves_max = _LEAVES_OF_PART if shafts.half or delays else _LEAVES_MAX
+        closeness = _CLOSENESS_OF_DELAYS if delays else _CLOSENESS
+        return bounded_peak(_Walks(edges, norms, step), first, both, closeness, leaves_max)
 
-    return over_inertias(peak, inertias)
+    return over_inertias(peak, inertias, delays)
 
 
-def over_inertias(peak: Peak, inertias: tuple[float, float]) -> PeakBound:
+def over_inertias(peak: Peak, inertias: tuple[float, float], delays: DelayRange | None) -> PeakBound:
     """Return the bound over a range of inertias, part by part, the light ones first: their errors are
     largest. Raises NoSolution."""
-    small, large = inertias
-    if small == large:
-        return peak(Shafts(1.0 / small), (0.0, 0.0))
-    count = int(np.ceil(np.log(large / small) / np.log(_WIDEST)))
-    ends = np.geomspace(1.0 / large, 1.0 / small, count + 1)
-    parts = list(itertools.pairwise(ends))
+    grids = GRIDS if delays else GRIDS[:1]
     certified = reached = 0.0
+    parts = parts_of(inertias)
     while parts:
-        low, high = parts.pop()
+        shafts = parts.pop()
         try:
-            bound = peak(Shafts(0.5 * (low + high), 0.5 * (high - low)), (reached, 0.0))
+            bound = _closer(peak, shafts, (reached, 0.0), grids)
         except NoSolution:
-            if high / low < _NARROWEST:
+            halves = shafts.halves(NARROWEST)
+            if not halves:
                 raise
-            between = (low * high) ** 0.5
-            parts += [(low, between), (between, high)]
+            parts += halves
             continue
         certified, reached = max(certified, bound.certified), max(reached, bound.reached)
     return PeakBound(certified, reached)
+
+
+def parts_of(inertias: tuple[float, float]) -> list[Shafts]:
+    """Return the range in parts that are tried first, the lightest shafts last."""
+    small, large = inertias
+    if small == large:
+        return [Shafts(1.0 / small)]
+    ends = np.geomspace(1.0 / large, 1.0 / small, int(np.ceil(np.log(large / small) / np.log(_WIDEST))) + 1)
+    return [Shafts(0.5 * (low + high), 0.5 * (high - low)) for low, high in itertools.pairwise(ends)]
+
+
+def _closer(peak: Peak, shafts: Shafts, known: tuple[float, float], grids: Sequence[float]) -> PeakBound:
+    """Return the bound by the first grid that has one. Raises NoSolution."""
+    for close in grids[:-1]:
+        with suppress(NoSolution):
+            return peak(shafts, known, close)
+    return peak(shafts, known, grids[-1])
 
 
 def walked(controller: Remembering, readings_max: int, commands_max: int) -> Iterator[Move]:
@@ -122,10 +150,13 @@ class _Walks(NormedWalks):
                 continue
             d = self._step.apart(own.d)
             z = d @ period.first.T
-            least, most, between = self._step.errors(z, d, period, np.zeros_like(z[:, 0]))
-            reached = max(reached, float((least - own.radius).max()))
+            nothing = np.zeros_like(z[:, 0])
+            least, most, between = self._step.errors(z, d, period, nothing)
+            reached = max(reached, float((least - own.doubt).max()))
             bound = max(bound, float((most + between + own.radius).max()))
             targets = np.full(len(own.d), move.target)
-            later, wider = self.moved(z, period, move.target)
-            came.append(own._replace(node=targets, d=later, radius=own.radius + wider))
+            later, unsure, apart = self.moved(z, nothing, period, move.target)
+            radius = self.left * own.radius + unsure + apart
+            doubt = self.left * own.doubt + unsure
+            came.append(own._replace(node=targets, d=later, radius=radius, doubt=doubt))
         return joined(came), reached, bound

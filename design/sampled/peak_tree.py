@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from servobench.design.delay.delay_loop import Array
 from servobench.design.sampled.peak_steps import PeakBound
@@ -22,6 +23,11 @@ _REFINED_AFTER = 60_000
 _REFINED_AT, _REFINED_FROM = 40, 50
 """Leaves for which that is done, each so many of the largest bounds."""
 
+_CROWDED = 2000
+"""Leaves from which those near each other are merged."""
+_MERGED = 0.4
+"""Share of the closeness asked to which that may widen them."""
+
 
 class Leaves(NamedTuple):
     """States reached, (N, ..) each."""
@@ -32,10 +38,13 @@ class Leaves(NamedTuple):
     radius: Array
     memory: Array
     """(N, m): what the controller knows of the past, if its node does not tell."""
+    doubt: Array
+    """The part of the radius within which what is really reached lies."""
 
     def part(self, which: NDArray[np.intp]) -> "Leaves":
         """Return some of them."""
-        return Leaves(self.node[which], self.d[which], self.radius[which], self.memory[which])
+        node, *others = self
+        return Leaves(node[which], *(own[which] for own in others))
 
 
 class Steps(Protocol):
@@ -47,8 +56,32 @@ class Steps(Protocol):
     def refine(self, leaves: Leaves) -> None:
         """Sharpen the bounds for some leaves."""
 
+    def merged(self, leaves: Leaves, radius: float) -> Leaves:
+        """Return fewer leaves that stand for all, none widened beyond ``radius``."""
+
     def stepped(self, leaves: Leaves) -> tuple[Leaves, float, float]:
         """Return the leaves a period later, the largest error passed, and what none exceeded."""
+
+
+def covered(points: Array, radii: Array, radius: float) -> tuple[NDArray[np.intp], Array]:
+    """Return which balls cover all of them when widened to at most ``radius``, and their radii.
+
+    ``points`` (N, m, k): the distance of two is the largest of m Euclidean ones.
+    """
+    flat, free = points.reshape(len(points), -1), np.ones(len(points), dtype=bool)
+    near = cKDTree(flat).query_ball_point(flat, np.maximum(radius - radii.min(), 0.0))
+    chosen, widened = [], []
+    for place in np.argsort(radii, kind="stable")[::-1]:
+        if not free[place]:
+            continue
+        others = np.array([each for each in near[place] if free[each]])
+        apart = np.linalg.norm(points[others] - points[place], axis=2).max(axis=1) + radii[others]
+        apart[others == place] = radii[place]
+        inside = apart <= max(radius, radii[place])
+        free[others[inside]] = False
+        chosen.append(place)
+        widened.append(float(apart[inside].max()))
+    return np.array(chosen), np.array(widened)
 
 
 def joined(parts: list[Leaves]) -> Leaves:
@@ -65,7 +98,7 @@ def bounded_peak(
     ``known``: an error that is reached, and a bound of those before ``first``; ``closeness``: relative, at
     which the search ends; ``leaves_max``: leaves stepped until it ends anyway.
     """
-    left, done, count, refined = first, 0.0, 0, _REFINED_AFTER
+    left, done, count, refined, crowded = first, 0.0, 0, _REFINED_AFTER, _CROWDED
     reached, passed = known
     bounds = steps.bounds(left)
     while len(bounds):
@@ -88,6 +121,12 @@ def bounded_peak(
         came, error, bound = steps.stepped(left.part(taken))
         count += len(taken)
         reached, passed = max(reached, error), max(passed, bound)
-        left = joined([left.part(kept), came])
-        bounds = np.concatenate([bounds[kept], steps.bounds(came)])
+        came_bounds = steps.bounds(came)
+        open_ = np.flatnonzero(came_bounds > max((1.0 + closeness) * reached, passed))
+        done = max(done, float(np.delete(came_bounds, open_).max(initial=0.0)))
+        left = joined([left.part(kept), came.part(open_)])
+        bounds = np.concatenate([bounds[kept], came_bounds[open_]])
+        if len(left.d) > crowded:
+            left = steps.merged(left, _MERGED * closeness * reached)
+            bounds, crowded = steps.bounds(left), max(_CROWDED, 2 * len(left.d))
     return PeakBound(max(passed, done, float(bounds.max(initial=0.0))), reached)

@@ -16,12 +16,13 @@ import numpy as np
 from servobench.design.delay.delay_loop import Array
 from servobench.design.delay.speed_loop import SpeedModel
 from servobench.design.errors import NoSolution
-from servobench.design.sampled.falling_norms import FallingNorms, NormedEdge, Norms
+from servobench.design.sampled.falling_norms import Elsewhere, FallingNorms, NormedEdge, Norms
 from servobench.design.sampled.held_loop import HeldInput, Jump, Operation
 from servobench.design.sampled.loaded_periods import LoadedPeriods
 from servobench.design.sampled.peak_steps import error_curvature, start_curvature
-from servobench.design.sampled.peak_tree import Leaves
+from servobench.design.sampled.peak_tree import Leaves, covered
 from servobench.design.sampled.taylor_map import TaylorMap, constant, control_points, exponential, products
+from servobench.design.sampled.varying_delay import GRIDS, Begin, DelayRange, acts, begins, begun
 
 _WITHIN = 128
 """Instants of a period at which the error is evaluated, some more where commands begin to act."""
@@ -43,6 +44,14 @@ class Shafts(NamedTuple):
     middle: float = 1.0
     half: float = 0.0
 
+    def halves(self, narrowest: float) -> "list[Shafts]":
+        """Return the range in two, unless its ends have no more than the ratio ``narrowest``: then none."""
+        low, high = self.middle - self.half, self.middle + self.half
+        if high / low < narrowest:
+            return []
+        between = math.sqrt(low * high)
+        return [Shafts(0.5 * (a + b), 0.5 * (b - a)) for a, b in ((low, between), (between, high))]
+
 
 AS_DESIGNED = Shafts()
 
@@ -58,15 +67,25 @@ class LoadedPeriod(NamedTuple):
     """(W, k): errors within it."""
     inputs: Array
     """(2, k): what acts on the plant at its begin and at its end."""
+    elsewhere: Elsewhere | None = None
+    """None: its command acts at no other instants."""
 
 
 class SteppedLoad:
     """The step on ``loop``, whose period without losses is ``usual``."""
 
     def __init__(
-        self, loop: HeldInput, period_s: float, usual: Sequence[Operation], shafts: Shafts = AS_DESIGNED
+        self,
+        loop: HeldInput,
+        period_s: float,
+        usual: Sequence[Operation],
+        shafts: Shafts = AS_DESIGNED,
+        close: float = GRIDS[0],
     ) -> None:
+        """``close``: that of the grid of delays, and the share by which norms then fall for what lies
+        between."""
         self._loop, self._period_s, self.order = copy.copy(loop), period_s, _ORDER if shafts.half else 0
+        self._close = close
         self._loop.model = _lighter(loop.model, shafts.middle)
         loaded = LoadedPeriods(self._loop, period_s, 1)
         whole = loaded.period(usual)[0]
@@ -89,7 +108,8 @@ class SteppedLoad:
         self._rates = rates
         self._rates[_SPEED] *= shafts.middle
         self._flows: dict[float, TaylorMap] = {}
-        lightest = _lighter(loop.model, shafts.middle + shafts.half)
+        self.light = lightest = _lighter(loop.model, shafts.middle + shafts.half)
+        self.heavy = _lighter(loop.model, shafts.middle - shafts.half)
         # bounds grow with the rates, but for a decay that is slower for the others
         slower = math.exp(-2.0 * shafts.half * loop.model.A[_SPEED, _SPEED] * period_s)
         self._begin(n, size, slower * start_curvature(lightest, period_s))
@@ -121,9 +141,24 @@ class SteppedLoad:
         """Return what is left out: nothing where the inertia is one alone."""
         return rest if self.order else np.zeros_like(rest)
 
-    def maps(self, chain: Sequence[Operation]) -> LoadedPeriod:
-        """Return those of a period that begins with a jump. Raises NoSolution where it moves the state at
-        rest."""
+    def periods(
+        self, chain: Sequence[Operation], newest: int, delays: DelayRange | None
+    ) -> list[LoadedPeriod]:
+        """Return the maps of a period, one for each begin of a grid where its command may act at any of them.
+
+        ``newest``: place of the newest command in xi; ``delays``: None: those of ``chain``.
+        """
+        if delays is None or not acts(chain):
+            return [self.maps(chain)]
+        n, grid = len(self._loop.model.A), begins(delays, self._period_s, self.light, self.heavy, self._close)
+        return [self.maps(begun(chain, newest, n, each, self._period_s), each) for each in grid]
+
+    def maps(self, chain: Sequence[Operation], begin: Begin | None = None) -> LoadedPeriod:
+        """Return those of a period that begins with a jump.
+
+        ``begin``: that of its command, if it may also act at other instants. Raises NoSolution where the
+        period moves the state at rest.
+        """
         moved = self._loaded.period(chain)[0][:-1] @ self._rest - self._rest[:-1]
         if np.abs(moved).max() > _ALIKE * np.abs(self._rest).max():
             raise NoSolution("certificate of the peak", "what is lost moves the state at rest")
@@ -146,8 +181,22 @@ class SteppedLoad:
             np.concatenate([each.coefficients for each in looks], axis=1),
             self._weighed(np.concatenate([each.rest for each in looks])),
         )
+        whole = TaylorMap(total.coefficients, self._weighed(total.rest))
         held = np.array([np.eye(self._loop.size)[q - 1], self._loop.transition(later)[q - 1]])
-        return LoadedPeriod(jump.J, TaylorMap(total.coefficients, self._weighed(total.rest)), every, held)
+        return LoadedPeriod(jump.J, whole, every, held, self._elsewhere(later, begin))
+
+    def _elsewhere(self, later: Sequence[Operation], begin: Begin | None) -> Elsewhere | None:
+        if begin is None or not begin.error:
+            return None
+        n, (_, acting, *rest) = len(self._loop.model.A), later
+        assert isinstance(acting, Jump)
+        state = np.zeros(self._loop.size)
+        state[:n] = begin.state
+        for operation in rest:
+            if isinstance(operation, Jump):
+                state = np.abs(operation.J) @ state
+        row = acting.J[n] - np.eye(self._loop.size)[n]
+        return Elsewhere(row, state, begin.error, begin.at_end)
 
     def _flow(self, length_s: float) -> TaylorMap:
         """Return what passes of [x, u] until each instant of ``length_s``, and until its end."""
@@ -174,7 +223,11 @@ class SteppedLoad:
             (rows.reshape(-1, k) @ firsts).reshape(-1, k),
             firsts,
             between,
-            *((period.M.rest, period.looks.rest, _ROOM) if self.order else (None, None, 0.0)),
+            period.M.rest,
+            period.looks.rest,
+            max(self._close, _ROOM) if period.elsewhere else _ROOM if self.order else 0.0,
+            period.elsewhere,
+            period.elsewhere is None or period.elsewhere.at_end,
         )
 
     def begun(self, node: int, norms: FallingNorms, memory: Array) -> Leaves:
@@ -186,6 +239,7 @@ class SteppedLoad:
             np.tile(self.starts.reshape(parts, -1), (count, 1)),
             np.tile(bend, count),
             np.repeat(memory, parts, axis=0),
+            np.zeros(count * parts),
         )
 
     def apart(self, d: Array) -> Array:
@@ -215,17 +269,32 @@ class SteppedLoad:
         hull = np.tensordot(self._points, np.array(seen[: order + 1]), axes=1)
         over = sum((np.abs(each) for each in seen[order + 1 :]), left)
         bound = (np.abs(hull).max(axis=0) + over).max(axis=1)
+        if period.elsewhere is not None:
+            bound += period.elsewhere.error * self._changed(z, period.elsewhere, opened)
         held = np.abs(self.control(z @ period.inputs.T)).max(axis=(1, 2))
         held += (opened @ np.abs(period.inputs).T).max(axis=1)
         state = np.abs(self.control(d[:, :, :n])).max(axis=1)
         return reached, bound, state @ self._of_state + self._of_input * held
+
+    def _changed(self, z: Array, elsewhere: Elsewhere, opened: Array) -> Array:
+        """Return (N,): by how much at most a command changes the input."""
+        known = np.abs(self.control(z @ elsewhere.row)).max(axis=1)
+        return np.asarray(known + opened @ np.abs(elsewhere.row))
+
+    def apart_by(self, z: Array, period: LoadedPeriod, opened: Array, T: Array) -> Array:
+        """Return (N,): how far at most a command that acts at another instant leads from d, in the norm of
+        ``T``."""
+        if period.elsewhere is None:
+            return np.zeros(len(z))
+        size = float(np.linalg.norm(np.abs(T) @ period.elsewhere.state))
+        return size * self._changed(z, period.elsewhere, opened)
 
 
 class NormedWalks:
     """Walks of the departure ``d`` from rest, in ``norms`` that no period enlarges."""
 
     def __init__(self, norms: Norms, step: SteppedLoad) -> None:
-        self._norms, self._step = norms, step
+        self._norms, self._step, self.left = norms, step, norms.first.left
 
     def bounds(self, leaves: Leaves) -> Array:
         """Return (N,): what no error behind each leaf exceeds."""
@@ -238,15 +307,33 @@ class NormedWalks:
         """Sharpen the bounds for some leaves."""
         self._norms.refine(leaves.node, self._step.apart(leaves.d)[:, 0])
 
-    def moved(self, z: Array, period: LoadedPeriod, target: int) -> tuple[Array, Array]:
-        """Return the coefficients of d a period later, flat, and (N,) what these leave out, in the first
-        norm."""
+    def merged(self, leaves: Leaves, radius: float) -> Leaves:
+        """Return fewer leaves that stand for all: one takes in those around it, until it has this radius."""
+        keys = np.column_stack([leaves.node, leaves.memory])
+        _, group = np.unique(keys, axis=0, return_inverse=True)
+        hull = self._step.control(self._step.apart(leaves.d))
+        turned = np.einsum("nij,nmj->nmi", self._norms.first.T[leaves.node], hull)
+        kept, wider = np.zeros(len(leaves.d), dtype=bool), leaves.radius.copy()
+        for number in range(int(group.max()) + 1):
+            own = np.flatnonzero(group.ravel() == number)
+            covers, radii = covered(turned[own], leaves.radius[own], radius)
+            kept[own[covers]] = True
+            wider[own[covers]] = radii
+        return leaves._replace(radius=wider).part(np.flatnonzero(kept))
+
+    def moved(self, z: Array, opened: Array, period: LoadedPeriod, target: int) -> tuple[Array, Array, Array]:
+        """Return the coefficients of d a period later, flat, and in the first norm (N,) what these leave out,
+        and how far other begins of the command lead from them.
+
+        ``z``, ``opened``: as for :meth:`SteppedLoad.errors`.
+        """
         T, order = self._norms.first.T[target], self._step.order
         later = products(z.transpose(1, 0, 2), period.M.coefficients.transpose(0, 2, 1))
         wider = np.linalg.norm(np.abs(z).sum(axis=1) @ (np.abs(T) @ period.M.rest).T, axis=1)
         for beyond in later[order + 1 :]:
             wider = wider + np.linalg.norm(beyond @ T.T, axis=1)
-        return np.stack(later[: order + 1], axis=1).reshape(len(z), -1), wider
+        flat = np.stack(later[: order + 1], axis=1).reshape(len(z), -1)
+        return flat, wider, self._step.apart_by(z, period, opened, T)
 
 
 def _lighter(model: SpeedModel, factor: float) -> SpeedModel:

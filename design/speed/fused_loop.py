@@ -51,6 +51,9 @@ def _moved(plant: PredictorPlant, length_s: float) -> Array:
 class FusedLoop(HeldInput):
     """The loop around ``plant``, whose commands act ``delay_s`` after their samples."""
 
+    first_command = _BUFFER
+    """Place of b_1 in xi."""
+
     def __init__(
         self, prediction: Prediction, plant: PredictorPlant | None = None, delay_s: float | None = None
     ) -> None:

@@ -21,6 +21,7 @@ from servobench.design.sampled.peak_steps import PeakBound
 from servobench.design.sampled.peak_tree import Leaves, bounded_peak, joined
 from servobench.design.sampled.random_losses import Outcome
 from servobench.design.sampled.stepped_load import LoadedPeriod, NormedWalks, Shafts, SteppedLoad
+from servobench.design.sampled.varying_delay import DelayRange
 from servobench.design.speed.predictor_gains import CovarianceRange, GainBoxes
 from servobench.design.speed.predictor_loop import PredictorLoop
 from servobench.design.speed.predictor_plant import KalmanModel, of_state
@@ -52,11 +53,14 @@ class _Period(NamedTuple):
     """(k, 3): what the gains times an innovation add to the first jump."""
 
 
-def _period(loop: PredictorLoop, step: SteppedLoad, outcome: Outcome) -> _Period:
-    lost = step.maps(sent(loop.chain(None), outcome))
+def _periods(
+    loop: PredictorLoop, step: SteppedLoad, outcome: Outcome, delays: DelayRange | None
+) -> list[_Period]:
+    lost = step.periods(sent(loop.chain(None), outcome), loop.first_command, delays)
     read = loop.read / (loop.read @ loop.read)
     each = [step.maps(sent(loop.chain(of_state(L)), outcome)).first for L in np.eye(3)]
-    return _Period(lost, np.array([(first - lost.first) @ read for first in each]).T)
+    entering = np.array([(first - lost[0].first) @ read for first in each]).T
+    return [_Period(maps, entering) for maps in lost]
 
 
 def predictor_peak(
@@ -66,11 +70,13 @@ def predictor_peak(
     readings_max: int,
     commands_max: int,
     inertias: tuple[float, float] = (1.0, 1.0),
+    delays: DelayRange | None = None,
 ) -> PeakBound:
     """Return the largest error after a load step of 1 N m, rad/s, certified and reached, with at most so many
     readings and commands lost in a row, and any samples taken for steps.
 
-    ``inertias``: smallest and largest, as multiples of the model's. Raises NoSolution.
+    ``inertias``: smallest and largest, as multiples of the model's; ``delays``: None: that of the loop.
+    Raises NoSolution.
     """
     moves = list(_moves(readings_max, commands_max))
     nodes = (readings_max + 1) * (commands_max + 1)
@@ -80,16 +86,18 @@ def predictor_peak(
         GainBoxes(kalman, walks, readings_max, _HISTORIES_MAX).outcomes,
     )
 
-    def peak(shafts: Shafts, known: tuple[float, float]) -> PeakBound:
-        step = SteppedLoad(loop, loop.period_s, loop.chain(kalman.observer(walks.quiet)), shafts)
-        periods = {outcome: _period(loop, step, outcome) for outcome in {move.outcome for move in moves}}
+    def peak(shafts: Shafts, known: tuple[float, float], close: float) -> PeakBound:
+        step = SteppedLoad(loop, loop.period_s, loop.chain(kalman.observer(walks.quiet)), shafts, close)
+        outcomes = {move.outcome for move in moves}
+        periods = {outcome: _periods(loop, step, outcome, delays) for outcome in outcomes}
         edges = []
         for move in moves:
-            period = periods[move.outcome]
+            maps, entering = periods[move.outcome][0]
             corners = [np.zeros(3)] if move.outcome.reading else [L[1:] for L in boxes.corners(move.readings)]
-            firsts = [period.maps.first + np.outer(period.entering @ L, loop.read) for L in corners]
-            edges.append(step.edge(move.source, move.target, period.maps, np.array(firsts)))
-        norms = Norms(edges, nodes, step.starts[:, 0])
+            firsts = np.array([maps.first + np.outer(entering @ L, loop.read) for L in corners])
+            for period in periods[move.outcome]:
+                edges.append(step.edge(move.source, move.target, period.maps, firsts))
+        norms = Norms(edges, nodes, step.starts[:, 0], falling=False)
         walk = _Walks(loop.read, moves, periods, boxes, norms, step)
         known = max(known[0], step.known[0]), max(known[1], step.known[1])
         for begun in begins:
@@ -101,7 +109,7 @@ def predictor_peak(
             known = bound.reached, known[1]
         return bound
 
-    return over_inertias(peak, inertias)
+    return over_inertias(peak, inertias, delays)
 
 
 def _histories(readings_max: int) -> NDArray[np.int_]:
@@ -125,7 +133,7 @@ class _Walks(NormedWalks):
         self,
         read: Array,
         moves: list[_Move],
-        periods: dict[Outcome, _Period],
+        periods: dict[Outcome, list[_Period]],
         boxes: GainBoxes,
         norms: Norms,
         step: SteppedLoad,
@@ -139,7 +147,6 @@ class _Walks(NormedWalks):
             own = leaves.part(np.flatnonzero(leaves.node == move.source))
             if not len(own.d):
                 continue
-            period = self._periods[move.outcome]
             prior = self._boxes.predicted(
                 CovarianceRange(*own.memory.reshape(-1, 4, 3, 3).transpose(1, 0, 2, 3))
             )
@@ -154,7 +161,7 @@ class _Walks(NormedWalks):
                     )
                     for taken in (False, True)
                 ]
-            for gains, later in ways:
+            for (gains, later), period in itertools.product(ways, self._periods[move.outcome]):
                 child, error, most = self._stepped(move, period, own, gains)
                 came.append(child._replace(memory=_flat(later)))
                 reached, bound = max(reached, error), max(bound, most)
@@ -168,8 +175,9 @@ class _Walks(NormedWalks):
         innovation = d @ self._read
         z = d @ maps.first.T + (middle[:, None] * innovation[:, :, None]) @ period.entering.T
         open_ = half * np.abs(step.control(innovation)).max(axis=1)[:, None]
-        least, most, between = step.errors(z, d, maps, open_ @ np.abs(period.entering).T)
-        later, wider = self.moved(z, maps, move.target)
+        opened = open_ @ np.abs(period.entering).T
+        least, most, between = step.errors(z, d, maps, opened)
+        later, wider, apart = self.moved(z, opened, maps, move.target)
         T = self._norms.first.T[move.target]
         for M in maps.M.coefficients:
             turned = T @ M @ period.entering
@@ -177,8 +185,9 @@ class _Walks(NormedWalks):
         left = np.abs(T) @ maps.M.rest @ np.abs(period.entering)
         wider += np.linalg.norm(open_ @ left.T, axis=1)
         targets = np.full(len(own.d), move.target)
-        child = Leaves(targets, later, own.radius + wider, own.memory)
-        reached, passed = least - own.radius, most + between + own.radius
+        radius, doubt = (self.left * each + wider for each in (own.radius, own.doubt))
+        child = Leaves(targets, later, radius + apart, own.memory, doubt)
+        reached, passed = least - own.doubt, most + between + own.radius
         return child, float(reached.max()), float(passed.max())
 
 

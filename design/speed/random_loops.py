@@ -34,7 +34,7 @@ class RandomHeld:
 
     def __init__(self, loop: HeldLoop) -> None:
         self.loop, self.period_s = loop, loop.network.period_s
-        network = loop.network
+        network, self.newest = loop.network, len(loop.model.A) + 1
         self._packets = network.losses_max if network.strategy is Strategy.HISTORY else 0
         """Losses in a row that the packets' history makes up for."""
         self._applied = PeriodStep(0, 0, (Switch(network.behind, network.offset_s),))
@@ -57,6 +57,7 @@ class RandomHinf:
 
     def __init__(self, own: HinfLoop) -> None:
         self.loop, self.period_s = lossy_hinf(own, 0), own.period_s
+        self.newest = own.first_command + self.loop.size - own.first_state
         self._lost = list(self.loop.chain(PeriodStep(0, 0, ())))
         self._came = list(self.loop.chain(PeriodStep(0, 0, (Switch(0, 0.0),))))
 
@@ -76,7 +77,7 @@ class RandomFused:
     quiet = 0
 
     def __init__(self, own: FusedLoop, gains: Sequence[Array]) -> None:
-        self.loop, self.period_s = own, own.period_s
+        self.loop, self.period_s, self.newest = own, own.period_s, own.first_command
         self._last = len(gains) - 1
         self._lost = own.chain(None)
         self._came = [own.chain(L) for L in gains]
@@ -111,7 +112,7 @@ class RandomPredictor:
     quiet = _History(0, _FORGOTTEN, 0, 0)
 
     def __init__(self, own: PredictorLoop, kalman: KalmanModel, walks: Walks, load_nm: float) -> None:
-        self.loop, self.period_s = own, own.period_s
+        self.loop, self.period_s, self.newest = own, own.period_s, own.first_command
         self.kalman, self.walks = kalman, walks
         filtering = AdaptiveFilter(kalman, walks)
         load_step(own.prediction, filtering, load_nm, _SETTLED)

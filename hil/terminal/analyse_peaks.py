@@ -29,6 +29,10 @@ class PeaksOptions:
         str,
         valued("--inertia-percent", "LEAST,MOST", "Inertias, of the one that the controller was made for."),
     ] = "100,100"
+    delay_ms: Annotated[
+        str | None,
+        valued("--delay-ms", "LEAST,MOST", "Sample to action, dead time of the drive included."),
+    ] = None
     load_nm: LoadOption = None
     as_json: JsonOption = False
 
@@ -37,13 +41,15 @@ def peaks(asked: PeaksOptions) -> None:
     """Bound the speed error after a load step, whichever readings and commands are lost.
 
     A row for each number of losses in a row, up to those asked for. Certified: no sequence exceeds it, at any
-    instant, whenever the load comes, with any inertia of a range as --inertia-percent 70,130. Found: some
-    sequence reaches it. The rest of motor and drive is what the controller was made for, and so are the
-    delays.
+    instant, whenever the load comes, with any inertia of a range as --inertia-percent 70,130, and with any
+    delay of a range as --delay-ms 1,1.3, another one in each period. Found: some sequence reaches it. The
+    rest of motor and drive is what the controller was made for. A static gain that applies samples as they
+    arrive has any delay up to the largest of its network.
 
     Examples:
       hil analyse peaks examples/controllers/ling2012-fused.toml --losses-max 1
     """
+    from servobench.design.sampled.varying_delay import DelayRange
     from servobench.hil.configuration.bench_file import load_controller
     from servobench.hil.studies.speed.loss_peaks import peaks_figures
     from servobench.hil.studies.speed.random_losses import Designed
@@ -59,6 +65,7 @@ def peaks(asked: PeaksOptions) -> None:
         asked.command_losses_max,
         asked.load_nm,
         _inertias(asked.inertia_percent),
+        None if asked.delay_ms is None else DelayRange(*_delays_s(asked.delay_ms)),
     )
     put(figures, asked.as_json, print_figures)
 
@@ -66,10 +73,23 @@ def peaks(asked: PeaksOptions) -> None:
 def _inertias(text: str) -> tuple[float, float]:
     """Return the ends of a range, as multiples. Raises BadInput."""
     expected = "LEAST,MOST in percent, from 1 to 10000, as in 70,130"
-    try:
-        least, most = (0.01 * float(part) for part in text.split(","))
-    except ValueError:
-        raise BadInput("--inertia-percent", "", text, expected) from None
+    least, most = (0.01 * each for each in _range("--inertia-percent", text, expected))
     if not 0.01 <= least <= most <= 100.0:
         raise BadInput("--inertia-percent", "", text, expected)
+    return least, most
+
+
+def _delays_s(text: str) -> tuple[float, float]:
+    expected = "LEAST,MOST in milliseconds, from 0 to 1000, as in 0.7,1"
+    least, most = (1e-3 * each for each in _range("--delay-ms", text, expected))
+    if not 0.0 <= least <= most <= 1.0:
+        raise BadInput("--delay-ms", "", text, expected)
+    return least, most
+
+
+def _range(option: str, text: str, expected: str) -> tuple[float, float]:
+    try:
+        least, most = map(float, text.split(","))
+    except ValueError:
+        raise BadInput(option, "", text, expected) from None
     return least, most

@@ -1,4 +1,4 @@
-"""An attack on certified peaks over losses and inertias: ``python -m tests.attack --seconds 600``.
+"""An attack on certified peaks over losses, inertias and delays: ``python -m tests.attack --seconds 600``.
 
 Drawn loops are certified here and attacked in another process, whose simulation and search are its own
 (:mod:`tests.attack.simulation`). No attack may exceed what is certified.
@@ -6,6 +6,7 @@ Drawn loops are certified here and attacked in another process, whose simulation
 
 import argparse
 import json
+import signal
 import subprocess
 import sys
 from typing import NamedTuple
@@ -13,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 
 from servobench.design.errors import NoSolution
-from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from servobench.hil.studies.speed.loss_peaks import peak_of
 from tests.attack.drawn import drawn_loop
 
@@ -24,6 +24,7 @@ class Attacked(NamedTuple):
     kind: str
     inertia_percent: float
     """By how much it may differ, either way."""
+    delay_ms: tuple[float, float]
     certified: float
     reached: float
     attacked: float
@@ -60,7 +61,8 @@ class Attack:
         return float(process.stdout.readline())
 
     def close(self) -> None:
-        """End it."""
+        """End it, in the middle of an attack too."""
+        self._process.kill()
         self._process.communicate()
 
 
@@ -70,11 +72,22 @@ def attacked(seed: int, attack: Attack) -> Attacked | None:
     if drawn is None:
         return None
     try:
-        bound = peak_of(drawn.controller, drawn.readings, drawn.commands, drawn.inertias)
+        bound = peak_of(drawn.controller, drawn.readings, drawn.commands, drawn.inertias, drawn.delays)
     except NoSolution:
         return None
     differs = 100.0 * (drawn.inertias[1] - 1.0)
-    return Attacked(drawn.told["kind"], differs, bound.certified, bound.reached, attack.on(drawn.told))
+    least, most = (1e3 * each for each in drawn.told["delays"])
+    return Attacked(
+        drawn.told["kind"], differs, (least, most), bound.certified, bound.reached, attack.on(drawn.told)
+    )
+
+
+class _TimeIsUp(Exception):
+    pass
+
+
+def _stopped(*_: object) -> None:
+    raise _TimeIsUp
 
 
 def main() -> int:
@@ -86,24 +99,31 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, help="seed to begin with, to go on")
     parser.add_argument("--seconds", type=float, default=3600.0)
     asked = parser.parse_args()
-    clock, attack = MonotonicClock(), Attack()
-    until = clock.now() + asked.seconds * NS_PER_S
-    done: list[Attacked] = []
-    seed, uncertified = asked.first, 0
-    while len(done) < asked.loops and clock.now() < until:
-        found = attacked(seed, attack)
+    attack, done, seed, uncertified = Attack(), list[Attacked](), asked.first, 0
+    signal.signal(signal.SIGALRM, _stopped)
+    signal.setitimer(signal.ITIMER_REAL, asked.seconds)
+    while len(done) < asked.loops:
+        try:
+            found = attacked(seed, attack)
+        except _TimeIsUp:  # the loop in hand is left to the next run
+            break
         if found is None:
             uncertified += 1
         else:
             done.append(found)
             print(
                 f"{seed:5} {found.kind:9} J +-{found.inertia_percent:2.0f} %"
+                f" delay {found.delay_ms[0]:6.3f} to {found.delay_ms[1]:6.3f} ms"
                 f" certified {found.certified:10.4f} found {found.reached:10.4f}"
                 f" attacked {found.attacked:10.4f}  {found.ratio:.3f}{'  VIOLATED' * found.violated}",
                 flush=True,
             )
         seed += 1
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
     attack.close()
+    if not done:
+        print(f"no loop was certified and attacked in {asked.seconds:g} s; next seed {seed}")
+        return 1
     violations = sum(each.violated for each in done)
     ratios = np.array([each.ratio for each in done])
     print(

@@ -11,6 +11,7 @@ from servobench.design.delay.speed_loop import model_of
 from servobench.design.errors import DesignError
 from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
 from servobench.design.sampled.jump_loop import Remembering
+from servobench.design.sampled.varying_delay import DelayRange
 from servobench.design.speed.conditioned import conditioned
 from servobench.design.speed.fused_filter import FusedWalks, fused_filter, rounding
 from servobench.design.speed.fused_loop import FusedLoop
@@ -34,6 +35,8 @@ class DrawnLoop(NamedTuple):
     commands: int
     inertias: tuple[float, float]
     """Smallest and largest, as multiples of the one that the controller knows."""
+    delays: DelayRange | None
+    """None: as the controller knows it."""
     told: dict[str, Any]
 
 
@@ -75,6 +78,14 @@ def drawn_loop(seed: int) -> DrawnLoop | None:
     ranged = draw.random() < 0.5 and not (kind == "predictor" and readings)
     spread = draw.uniform(0.02, 0.3) if ranged else 0.0
     inertias = (1.0 - spread, 1.0 + spread)
+    delays = None
+    if draw.random() < 0.4 and not (kind == "predictor" and (readings or ranged)):
+        least, wide = (
+            period_s * math.floor(request.delay_s / period_s + 1e-9),
+            period_s * draw.uniform(0.02, 0.3),
+        )
+        least_s, most_s = max(least, request.delay_s - wide), min(least + period_s, request.delay_s + wide)
+        delays = DelayRange(least_s, most_s)
     told = {
         "kind": kind,
         "seed": seed,
@@ -85,10 +96,11 @@ def drawn_loop(seed: int) -> DrawnLoop | None:
         "filter": request.plant.filter_rate_rad_s,
         "period": period_s,
         "delay": request.delay_s,
+        "delays": delays or (request.delay_s, request.delay_s),
         "readings": readings,
         "commands": commands,
     }
-    return DrawnLoop(controller, readings, commands, inertias, told | own)
+    return DrawnLoop(controller, readings, commands, inertias, delays, told | own)
 
 
 Draw = Callable[[float, float], float]

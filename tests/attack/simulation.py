@@ -1,8 +1,8 @@
 """Loops on stdin, one JSON object a line; the largest errors that a search reaches on stdout.
 
 Numpy alone: shaft, drive, links and controllers are simulated here step by step. An evolution chooses which
-readings and commands are lost, when the load comes within a period, the shaft's inertia, and which readings a
-predictor takes for steps of the load.
+readings and commands are lost, when each command begins to act, when the load comes within a period, the
+shaft's inertia, and which readings a predictor takes for steps of the load.
 """
 
 import json
@@ -21,6 +21,8 @@ BEFORE = 5
 """Periods at rest before the load: what was lost then, a controller remembers."""
 WITHIN = 12
 SHAFTS = 7
+BEGINS = 5
+"""Instants at which a command may begin to act, where its delay varies."""
 
 
 def exponential(matrix: Array) -> Array:
@@ -171,11 +173,13 @@ class Host:
 
 @dataclass
 class People:
-    """(P, periods) each; (P,) when the load comes, in periods after a sample, and shares of the inertia."""
+    """(P, periods) each, ``late`` a number of the instants; (P,) when the load comes, in periods
+    after a sample, and shares of the inertia."""
 
     missing: Bits
     unheard: Bits
     bold: Bits
+    late: NDArray[np.int64]
     part: Array
     heavier: Array
 
@@ -198,7 +202,8 @@ def peaks(loop: dict[str, Any], people: People) -> Array:
     host, shafts = Host(loop, runs), Shafts(loop, people.heavier)
     x, force, peak, h = np.zeros((runs, 4)), np.zeros(runs), np.zeros(runs), host.h
     parts = np.unique(people.part)
-    instants = sorted({h * k / WITHIN for k in range(1, WITHIN + 1)} | {host.acts_s} | set(h * parts) - {0.0})
+    begins = begins_of(loop)
+    instants = sorted({h * k / WITHIN for k in range(1, WITHIN + 1)} | set(begins) | set(h * parts))
     instants = [each for each in instants if each > 0.0]
     for number in range(periods):
         missing, unheard = people.missing[:, number], people.unheard[:, number]
@@ -206,16 +211,24 @@ def peaks(loop: dict[str, Any], people: People) -> Array:
             unheard = unheard | missing
         host.decide(x, missing, people.bold[:, number])
         acting, at_s = np.where(unheard, force, host.sent[host.behind]), 0.0
-        if host.acts_s == 0.0:
-            force = acting
+        acts_s = begins[people.late[:, number]]
+        force = np.where(acts_s == 0.0, acting, force)
         for instant in instants:
             begun = number > BEFORE or (number == BEFORE and np.full(runs, instant) > h * people.part + 1e-12)
             x = shafts.run(x, force, np.where(begun, 1.0, 0.0) * np.ones(runs), instant - at_s)
             at_s = instant
-            if instant == host.acts_s:
-                force = acting
+            force = np.where(acts_s == instant, acting, force)
             peak = np.maximum(peak, np.abs(x[:, 1]))
     return peak
+
+
+def begins_of(loop: dict[str, Any]) -> Array:
+    """Return the instants of a period at which its command may begin to act."""
+    least, most = (
+        max(0.0, each - loop["period"] * int(loop["delay"] / loop["period"] + 1e-9))
+        for each in loop["delays"]
+    )
+    return np.linspace(least, most, 1 if least == most else BEGINS)
 
 
 def attacked(loop: dict[str, Any]) -> float:
@@ -223,23 +236,26 @@ def attacked(loop: dict[str, Any]) -> float:
     draw = np.random.default_rng(loop["seed"])
     behind = loop["delay"] / loop["period"]
     periods = BEFORE + 1 + math.ceil(4.0 * (behind + 1.0)) + 6 * (loop["readings"] + loop["commands"] + 1)
-    shape = (POPULATION, periods)
+    shape, count = (POPULATION, periods), len(begins_of(loop))
     people = People(
         draw.random(shape) < draw.random((POPULATION, 1)),
         draw.random(shape) < draw.random((POPULATION, 1)),
         draw.random(shape) < draw.random((POPULATION, 1)) * (np.arange(POPULATION) % 3 > 0)[:, None],
+        draw.integers(count, size=shape),
         draw.choice([0.0, 0.25, 0.5, 0.75], size=POPULATION),
         draw.choice(inertias(loop), size=POPULATION),
     )
     people.missing[0] = people.unheard[0] = people.bold[0] = False
     people.missing[1], people.bold[1] = True, False
+    for place in range(3):
+        people.late[place::40] = place * (count - 1) // 2
     best = 0.0
     for _ in range(GENERATIONS):
         bounded(people.missing, loop["readings"])
         bounded(people.unheard, loop["commands"])
         reached = peaks(loop, people)
         best = max(best, float(reached.max()))
-        people = children(people.of(np.argsort(-reached)[:PARENTS]), draw, inertias(loop))
+        people = children(people.of(np.argsort(-reached)[:PARENTS]), draw, inertias(loop), count)
     return best
 
 
@@ -249,7 +265,7 @@ def inertias(loop: dict[str, Any]) -> Array:
     return np.linspace(least, most, 1 if least == most else SHAFTS)
 
 
-def children(parents: People, draw: np.random.Generator, shafts: Array) -> People:
+def children(parents: People, draw: np.random.Generator, shafts: Array, begins: int) -> People:
     """Return the parents themselves, and children crossed and changed in a few periods."""
     one, other = draw.integers(PARENTS, size=(2, POPULATION))
     one[:PARENTS] = other[:PARENTS] = np.arange(PARENTS)
@@ -261,6 +277,9 @@ def children(parents: People, draw: np.random.Generator, shafts: Array) -> Peopl
     for name in ("missing", "unheard", "bold"):
         crossed = np.where(first, getattr(mine, name), getattr(yours, name))
         setattr(mine, name, crossed ^ (draw.random((POPULATION, periods)) < rate))
+    mine.late = np.where(first, mine.late, yours.late)
+    changed = draw.random((POPULATION, periods)) < rate
+    mine.late = np.where(changed, draw.integers(begins, size=(POPULATION, periods)), mine.late)
     elsewhere = (draw.random(POPULATION) < 0.2) & (rate[:, 0] > 0.0)
     mine.part = np.where(elsewhere, draw.choice([0.0, 0.1, 0.3, 0.6, 0.9], size=POPULATION), mine.part)
     other_shaft = (draw.random(POPULATION) < 0.2) & (rate[:, 0] > 0.0)

@@ -10,6 +10,7 @@ from servobench.design.sampled.held_loop import HeldLoop, Strategy
 from servobench.design.sampled.jump_loop import Remembering
 from servobench.design.sampled.loss_peak import losses_peak
 from servobench.design.sampled.peak_steps import PeakBound
+from servobench.design.sampled.varying_delay import DelayRange
 from servobench.design.speed.predictor_peaks import predictor_peak
 from servobench.design.speed.random_loops import RandomHeld, RandomPredictor
 from servobench.hil.configuration.controller_kinds import StateFeedbackController
@@ -23,22 +24,25 @@ def peaks_figures(
     commands_max: int,
     load_nm: float | None,
     inertias: tuple[float, float] = (1.0, 1.0),
+    delays: DelayRange | None = None,
 ) -> dict[str, Any]:
     """Return the largest error after a load step, certified and found, for each number of losses in a row.
 
     ``load_nm``: None: that of the file's design, or 1 N m; ``inertias``: smallest and largest, as multiples
-    of the one that the controller was made for. Raises BadInput for a file that does not tell what
-    it was made for.
+    of the one that the controller was made for; ``delays``: None: those that it was made for. Raises BadInput
+    for a file that does not tell what it was made for.
     """
     told = None if isinstance(controller, StateFeedbackController) else controller.figures
     load_nm = load_nm or (1.0 if told is None else told.load_nm)
-    remembering = remembering_of(controller, path, load_nm)
+    remembering = remembering_of(controller, path, load_nm, None if delays is None else delays.most_s)
+    delays = delays or _arriving(remembering)
     return {
         "controller": controller.kind,
         "load_nm": load_nm,
         "inertia_percent": [100.0 * each for each in inertias],
+        "delay_ms": None if delays is None else [1e3 * each for each in delays],
         "peaks": [
-            _bounded(remembering, readings, commands, load_nm, inertias)
+            _bounded(remembering, readings, commands, load_nm, inertias, delays)
             for readings in range(readings_max + 1)
             for commands in range(commands_max + 1)
         ],
@@ -46,39 +50,60 @@ def peaks_figures(
 
 
 def peak_of(
-    remembering: Remembering, readings_max: int, commands_max: int, inertias: tuple[float, float] = (1.0, 1.0)
+    remembering: Remembering,
+    readings_max: int,
+    commands_max: int,
+    inertias: tuple[float, float] = (1.0, 1.0),
+    delays: DelayRange | None = None,
 ) -> PeakBound:
     """Return the largest error after a load step of 1 N m, with at most so many readings and commands lost in
-    a row, over a range of inertias. Raises NoSolution."""
-    ranged = inertias != (1.0, 1.0)
-    if isinstance(remembering, RandomHeld) and ranged:
-        network = replace(remembering.loop.network, losses_max=readings_max)
-        if network.strategy is Strategy.ARRIVAL and network.delay_max_s > 0.0:
-            expected = "stamp or history, whose delay does not vary, for a range of inertias"
-            raise NoSolution(
-                "certificate of the peak", f"strategy {network.strategy.value}: expected {expected}"
-            )
-        remembering = RandomHeld(HeldLoop(remembering.loop.model, remembering.loop.K, network))
-    elif isinstance(remembering, RandomHeld) and not commands_max:
-        loop = remembering.loop
-        analysis = with_peak(
-            analyse_loop(HeldLoop(loop.model, loop.K, replace(loop.network, losses_max=readings_max)))
-        )
-        if analysis.peak_certified is None:
-            raise NoSolution("certificate of the peak", analysis.without_certificate)
-        return PeakBound(analysis.peak_certified, analysis.peak_found)
+    a row, over a range of inertias and of delays.
+
+    ``delays``: None: those of the loop, of a static gain that applies samples as they arrive any up to the
+    largest. Raises NoSolution.
+    """
+    if isinstance(remembering, RandomHeld):
+        own = remembering.loop
+        loop = HeldLoop(own.model, own.K, replace(own.network, losses_max=readings_max))
+        arriving = _arriving(remembering)
+        if inertias == (1.0, 1.0) and not commands_max and delays == arriving:
+            return _of_static_gain(loop)
+        remembering, delays = RandomHeld(loop), delays or arriving
     if isinstance(remembering, RandomPredictor):
-        own = remembering
-        return predictor_peak(own.loop, own.kalman, own.walks, readings_max, commands_max, inertias)
-    return losses_peak(remembering, readings_max, commands_max, inertias)
+        made = remembering
+        return predictor_peak(
+            made.loop, made.kalman, made.walks, readings_max, commands_max, inertias, delays
+        )
+    return losses_peak(remembering, readings_max, commands_max, inertias, delays)
+
+
+def _arriving(remembering: Remembering) -> DelayRange | None:
+    """Return the delays of a static gain that applies samples as they arrive; None: they do not vary."""
+    if not isinstance(remembering, RandomHeld):
+        return None
+    network = remembering.loop.network
+    varying = network.strategy is Strategy.ARRIVAL and network.delay_max_s > 0.0
+    return DelayRange(0.0, network.delay_max_s) if varying else None
+
+
+def _of_static_gain(loop: HeldLoop) -> PeakBound:
+    analysis = with_peak(analyse_loop(loop))
+    if analysis.peak_certified is None:
+        raise NoSolution("certificate of the peak", analysis.without_certificate)
+    return PeakBound(analysis.peak_certified, analysis.peak_found)
 
 
 def _bounded(
-    remembering: Remembering, readings: int, commands: int, load_nm: float, inertias: tuple[float, float]
+    remembering: Remembering,
+    readings: int,
+    commands: int,
+    load_nm: float,
+    inertias: tuple[float, float],
+    delays: DelayRange | None,
 ) -> dict[str, Any]:
     lost = {"readings_lost_in_a_row": readings, "commands_lost_in_a_row": commands}
     try:
-        peak = peak_of(remembering, readings, commands, inertias)
+        peak = peak_of(remembering, readings, commands, inertias, delays)
     except NoSolution as error:
         return lost | {"not_certified": str(error)}
     return lost | {

@@ -1,6 +1,7 @@
 """The analysis behind ``hil analyse losses``: a controller's file on a network that loses at random."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -108,14 +109,19 @@ def _step_figures(loop: JumpLoop, moments: Moments, load_nm: float) -> dict[str,
     }
 
 
-def remembering_of(controller: Designed, path: Path, load_nm: float) -> Remembering:
-    """Return the periods of a file's controller around the plant that it was made for. Raises BadInput."""
+def remembering_of(
+    controller: Designed, path: Path, load_nm: float, delay_s: float | None = None
+) -> Remembering:
+    """Return the periods of a file's controller around the plant that it was made for.
+
+    ``delay_s``: from sample to action; None: that which it was made for. Raises BadInput.
+    """
     made = controller.made_for
     if made is None or made.plant is None or made.period_us is None or made.delay_max_us is None:
         key = "controller.made_for"
         expected = "plant, period_us and delay_max_us, as hil design speed --network or --losses-max writes"
         raise BadInput(str(path), key, "not all of it", expected)
-    period_s, delay_s = made.period_us / US_PER_S, made.delay_max_us / US_PER_S
+    period_s, designed_s = made.period_us / US_PER_S, made.delay_max_us / US_PER_S
     rate = made.plant.resistance_ohm / made.plant.inductance_q_h
     if made.current_loop is not None:
         rate = math.tau * made.current_loop.bandwidth_hz
@@ -128,20 +134,17 @@ def remembering_of(controller: Designed, path: Path, load_nm: float) -> Remember
             plant.viscous_friction_nm_s,
             integral=len(controller.gain) == 3,
         )
-        agreed_s = (made.agreed_delay_us or 0) / US_PER_S
-        network = SampledNetwork(
-            Strategy(made.strategy or "arrival"),
-            period_s,
-            made.losses_in_a_row_max or 0,
-            delay_s,
-            agreed_s,
-        )
+        agreed_s, losses = (made.agreed_delay_us or 0) / US_PER_S, made.losses_in_a_row_max or 0
+        network = SampledNetwork(Strategy(made.strategy or "arrival"), period_s, losses, designed_s, agreed_s)
+        if delay_s is not None:
+            network = _as_late(network, delay_s, path)
         return RandomHeld(HeldLoop(model, np.array(controller.gain), network))
     drive = controller.certificate if isinstance(controller, HinfSection) else controller
     if drive is None or drive.speed_filter_hz is None:
         key = "controller.certificate.speed_filter_hz"
         raise BadInput(str(path), key, "nothing", "what hil design speed writes today: make it anew")
-    delay_s += (drive.dead_time_us or 0.0) / US_PER_S
+    designed_s += (drive.dead_time_us or 0.0) / US_PER_S
+    delay_s = designed_s if delay_s is None else delay_s
     shaft_and_drive = PredictorPlant(
         made.plant.inertia_kg_m2,
         made.plant.viscous_friction_nm_s,
@@ -160,10 +163,20 @@ def remembering_of(controller: Designed, path: Path, load_nm: float) -> Remember
         return RandomHinf(HinfLoop(own, shaft_and_drive, delay_s))
     torque, speed = controller.torque_gain, controller.speed_gain_nm_s_rad
     feedback = np.array([torque, speed, 0.0, -1.0 - torque])
-    prediction = Prediction(controller.plant, period_s, delay_s, feedback)
+    prediction = Prediction(controller.plant, period_s, designed_s, feedback)
     if isinstance(controller, FusedController):
-        return RandomFused(FusedLoop(prediction, shaft_and_drive), list(map(np.array, controller.gains)))
+        return RandomFused(
+            FusedLoop(prediction, shaft_and_drive, delay_s), list(map(np.array, controller.gains))
+        )
     noise = controller.speed_noise_rad_s, controller.torque_noise_nm
     kalman = kalman_model(controller.plant, period_s, *noise)
     walks = Walks(controller.load_noise_nm_sqrt_s, controller.load_noise_max_nm_sqrt_s)
-    return RandomPredictor(PredictorLoop(prediction, shaft_and_drive), kalman, walks, load_nm)
+    return RandomPredictor(PredictorLoop(prediction, shaft_and_drive, delay_s), kalman, walks, load_nm)
+
+
+def _as_late(network: SampledNetwork, delay_s: float, path: Path) -> SampledNetwork:
+    """Return ``network`` with another largest delay. Raises BadInput for packets with a history."""
+    if network.strategy is Strategy.HISTORY:
+        expected = "arrival or stamp, for a range of delays: with a history the agreed one is always kept"
+        raise BadInput(str(path), "controller.made_for.strategy", network.strategy.value, expected)
+    return replace(network, delay_max_s=delay_s, agreed_delay_s=delay_s)

@@ -42,6 +42,43 @@ def test_a_range_of_inertias_holds_the_peaks_of_each_of_them() -> None:
     assert max(each) > 0.99 * found
 
 
+def test_delays_of_a_range_bear_each_of_them_and_more() -> None:
+    def row(*options: str) -> dict[str, float]:
+        said = analyse("ling2012-fused.toml", "--losses-max", "0", *options, "--json")
+        assert said.exit_code == 0, said.output
+        figures = json.loads(said.stdout)
+        asked = [float(each) for each in options[1].split(",")] if options else None
+        assert figures["delay_ms"] == (asked and pytest.approx(asked))
+        last: dict[str, float] = figures["peaks"][-1]
+        return last
+
+    varying = row("--delay-ms", "1,1.1")
+    assert varying["peak_found_rad_s"] <= varying["peak_certified_rad_s"] < 1.02 * varying["peak_found_rad_s"]
+    each = [row("--delay-ms", f"{one},{one}")["peak_found_rad_s"] for one in ("1", "1.1")]
+    assert max(each) <= varying["peak_certified_rad_s"]
+    assert each[1] == pytest.approx(row()["peak_found_rad_s"])
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        ("1,0.7", "LEAST,MOST in milliseconds"),
+        ("0.7", "LEAST,MOST in milliseconds"),
+        ("x,1", "LEAST,MOST in milliseconds"),
+        ("-1,1", "LEAST,MOST in milliseconds"),
+    ],
+)
+def test_what_is_no_range_of_delays_is_refused(typed: str, said: str) -> None:
+    result = analyse("ling2012-fused.toml", f"--delay-ms={typed}")
+    assert result.exit_code == 2
+    assert said in " ".join(result.stderr.split())
+
+
+def test_delays_on_both_sides_of_a_sample_are_not_certified_and_the_row_says_why() -> None:
+    text = analyse("ling2012-hinf.toml", "--losses-max", "0", "--delay-ms", "0.7,1.2").stdout
+    assert "expected no sample between the two" in " ".join(text.split())
+
+
 @pytest.mark.parametrize("typed", ["130,70", "70", "0,100", "70,130,200", "x,1", "nan,nan", "70,inf"])
 def test_what_is_no_range_of_inertias_is_refused(typed: str) -> None:
     result = analyse("ling2012-fused.toml", "--inertia-percent", typed)
