@@ -49,6 +49,7 @@ from servobench.hil.terminal.init import init
 from servobench.hil.terminal.measure import measure
 from servobench.hil.terminal.motor import motor
 from servobench.hil.terminal.output import say
+from servobench.hil.terminal.params import diff, save
 from servobench.hil.terminal.picture import picture
 from servobench.hil.terminal.presets import presets
 from servobench.hil.terminal.recover import recover
@@ -81,6 +82,11 @@ reproduce = typer.Typer(
     name="reproduce", cls=PlainGroup, help="Reproduce the results of the papers.", no_args_is_help=True
 )
 add_commands(reproduce, azaiz2007, ling2012)
+
+params = typer.Typer(
+    name="params", cls=PlainGroup, help="Keep and compare a drive's parameters.", no_args_is_help=True
+)
+add_commands(params, save, diff)
 
 design = typer.Typer(name="design", cls=PlainGroup, help="Design a controller.", no_args_is_help=True)
 add_commands(design, current, hinf, pid, design_speed.speed)
@@ -280,6 +286,7 @@ add_commands(app, scan, trace, fault, stop, eds, adapter, panel="Inspect")
 add_commands(app, commission, measure, restore, rehearse, panel="Commission")
 add_commands(app, view, why, review, runs, compare, picture, export, recover, panel="Review")
 app.add_typer(campaign, rich_help_panel="Run")
+app.add_typer(params, rich_help_panel="Inspect")
 for group in (design, analyse, motor, reproduce):
     app.add_typer(group, rich_help_panel="Design")
 add_commands(app, verify, panel="Design")

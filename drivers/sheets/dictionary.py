@@ -6,7 +6,7 @@ silent.
 Identifies the device of a data sheet: by 1018h, else by [DeviceInfo] (CiA 306-1).
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ import canopen.objectdictionary as od
 from canopen.objectdictionary import ObjectDictionary, ODVariable
 
 from servobench.drivers.bounded_file import read_bytes
-from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.canopen.objects301 import FIRST_OBJECT, Cia301
 from servobench.drivers.errors import BadInput
 from servobench.drivers.sheets.eds.connection_set import add_compact_pdos, free_of_node
 from servobench.drivers.sheets.eds.information import (
@@ -79,6 +79,14 @@ def held_number(dictionary: ObjectDictionary, index: int, sub: int = 0) -> int |
     """Return the file's value of an object; None if it is no integer."""
     value = held(dictionary, index, sub)
     return value if isinstance(value, int) else None
+
+
+def variables_in(dictionary: ObjectDictionary) -> Iterator[ODVariable]:
+    """Yield every variable of a data sheet from 1000h on, in order of index and sub-index."""
+    for index, entry in sorted(dictionary.items()):
+        if index >= FIRST_OBJECT:
+            members: dict[int, Any] = {0: entry} if isinstance(entry, ODVariable) else entry.subindices
+            yield from (member for _sub, member in sorted(members.items()))
 
 
 def load_dictionary(path: Path, node_id: int | None = None) -> LoadedDictionary:

@@ -4,21 +4,21 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from canopen.objectdictionary import ObjectDictionary, ODVariable
 
 from servobench.drivers.canopen.data_types import DataType
 from servobench.drivers.canopen.network import CanopenNetwork
-from servobench.drivers.canopen.objects301 import FIRST_OBJECT, Cia301
+from servobench.drivers.canopen.objects301 import Cia301
 from servobench.drivers.cia402.drive_setup import read_scaling
 from servobench.drivers.cia402.judgement import judge, told_by_drive
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.scaling import ScaleOverride, Scaling, UnitNotTold
 from servobench.drivers.errors import TransferAborted
 from servobench.drivers.rotation import RAD_S_PER_RPM
-from servobench.drivers.sheets.dictionary import told_identity
+from servobench.drivers.sheets.dictionary import told_identity, variables_in
 from servobench.hil.commissioning.drive_port import QUANTITY_OF_MODE
 from servobench.hil.commissioning.findings import StepFailed, StepOutcome
 from servobench.hil.commissioning.nameplate import (
@@ -81,17 +81,9 @@ def dump(
 
 
 def _readable(dictionary: ObjectDictionary) -> Iterator[ODVariable]:
-    for variable in variables(dictionary):
+    for variable in variables_in(dictionary):
         if variable.access_type != _WRITE_ONLY and variable.data_type != DataType.DOMAIN:
             yield variable
-
-
-def variables(dictionary: ObjectDictionary) -> Iterator[ODVariable]:
-    """Yield every variable of a data sheet, in order of index and sub-index."""
-    for index, entry in sorted(dictionary.items()):
-        if index >= FIRST_OBJECT:
-            members: dict[int, Any] = {0: entry} if isinstance(entry, ODVariable) else entry.subindices
-            yield from (member for _sub, member in sorted(members.items()))
 
 
 def _usual(network: CanopenNetwork, node: int) -> Iterator[tuple[int, int]]:
@@ -110,7 +102,7 @@ def _usual(network: CanopenNetwork, node: int) -> Iterator[tuple[int, int]]:
 def differing(held_objects: Dump, dictionary: ObjectDictionary) -> list[str]:
     """List settings that differ from the data sheet's defaults, in words."""
     lines = []
-    for variable in variables(dictionary):
+    for variable in variables_in(dictionary):
         held = held_objects.get((variable.index, variable.subindex))
         default = variable.default
         if held is None or not isinstance(default, int) or variable.access_type in ("ro", "const"):

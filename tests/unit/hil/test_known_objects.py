@@ -7,8 +7,9 @@ from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable
 
 from servobench.drivers.cia402.drive_setup import Identity
 from servobench.drivers.errors import TransferAborted
+from servobench.drivers.sheets.dictionary import variables_in
 from servobench.hil.commissioning.files import dcf_text
-from servobench.hil.commissioning.steps_static import differing, dump, missing, variables
+from servobench.hil.commissioning.steps_static import differing, dump, missing
 from servobench.hil.restoring.journal import ObjectKey
 
 
@@ -61,7 +62,7 @@ def test_a_sheet_says_what_is_read() -> None:
     assert node.asked == [(0x1000, 0), (0x2000, 1), (0x2000, 2), (0x6040, 0)]
     assert read == node.held
     assert calls == [1]
-    assert [(each.index, each.subindex) for each in variables(told)] == [
+    assert [(each.index, each.subindex) for each in variables_in(told)] == [
         (0x1000, 0), (0x1010, 0), (0x1F50, 0), (0x2000, 1), (0x2000, 2), (0x6040, 0),
     ]  # fmt: skip
     assert missing(read, told) == ["2000h:02 object 2000"]

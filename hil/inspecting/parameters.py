@@ -1,0 +1,242 @@
+"""Parameters of a drive: what its objects hold, kept in a DCF (CiA 306-1), and compared.
+
+A parameter is a writable object that keeps its value. Commands, set-points, the error history, clocks and
+domains are none: they say what a drive does at this moment, or change by themselves.
+"""
+
+import io
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable, export_od
+
+from servobench.drivers.canopen.data_types import REAL_BITS, SIGNED_BITS, TIME_BITS, UNSIGNED_BITS, DataType
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.cia402.drive_setup import Identity
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.errors import BadInput, PeerFault, TransferAborted
+from servobench.drivers.sheets.dictionary import load_dictionary, told_identity, variables_in
+from servobench.drivers.timebase import NS_PER_S, Duration
+
+Place = tuple[int, int]
+"""Index and sub-index."""
+NO_PARAMETERS: Final = frozenset(
+    {
+        Cia301.ERROR_HISTORY,
+        Cia301.STORE_PARAMETERS,
+        Cia301.RESTORE_DEFAULTS,
+        Cia301.HIGH_RESOLUTION_TIME_STAMP,
+        Object.CONTROLWORD,
+        Object.MODES_OF_OPERATION,
+        Object.TARGET_TORQUE,
+        Object.TARGET_POSITION,
+        Object.TARGET_VELOCITY,
+        Object.VL_TARGET_VELOCITY,
+        Object.INTERPOLATION_DATA_RECORD,
+    }
+)
+_CONNECT_NS: Final = Duration(2 * NS_PER_S)
+"""Somebody waits at the terminal, and a drive that is on answers at once."""
+_TEXTS: Final[Mapping[int, str]] = {DataType.VISIBLE_STRING: "ascii", DataType.UNICODE_STRING: "utf_16_le"}
+_NUMBERS: Final = SIGNED_BITS | UNSIGNED_BITS | TIME_BITS
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterSet:
+    """Parameters of a drive, or of a file."""
+
+    source: str
+    """The file, or the node and its bus."""
+    device: tuple[frozenset[int], frozenset[int]]
+    """Vendor-IDs and product codes (1018h, [DeviceInfo]); empty where a file tells none."""
+    values: Mapping[Place, bytes]
+    names: Mapping[Place, str]
+    types: Mapping[Place, int]
+    """Data types (CiA 301 7.4.7)."""
+    unread: Mapping[Place, str]
+    """Parameters of the data sheet that the drive did not give, with its reason."""
+
+
+class ParameterDifference(NamedTuple):
+    """A parameter that two sets do not share; a value that one of them lacks is empty."""
+
+    place: Place
+    name: str
+    first: str
+    second: str
+
+
+def read_parameters(
+    network: CanopenNetwork, node: int, sheet: Path, bus: str, tell: Callable[[str], None]
+) -> tuple[ParameterSet, ObjectDictionary, Identity]:
+    """Upload every parameter that the data sheet names.
+
+    Raises BadInput for a data sheet that cannot be read, PeerFault if it is of another device, NoAnswer.
+    """
+    dictionary = load_dictionary(sheet, node).dictionary
+    identity = ServoDrive(network, node).connect(network.deadline_after(_CONNECT_NS))
+    for part, of_sheet, of_drive in told_identity(dictionary).strangers(
+        identity.vendor, identity.product, identity.revision
+    ):
+        if part == "revision":
+            tell(f"revision {of_drive:08X}h, the data sheet is for {of_sheet:08X}h")
+            continue
+        raise PeerFault(
+            f"{sheet} is of another device: {part} {of_sheet:08X}h",
+            f"node {node} says {of_drive:08X}h",
+            "give the data sheet of this drive",
+        )
+    values, unread = dict[Place, bytes](), dict[Place, str]()
+    for variable in parameters_in(dictionary):
+        place = variable.index, variable.subindex
+        try:
+            value = network.upload(node, *place)
+        except TransferAborted as error:
+            unread[place] = str(error)
+            continue
+        if _is_kept_by_a_dcf(value, variable.data_type):
+            values[place] = value
+        else:
+            unread[place] = f"a DCF cannot hold its text {value!r}"
+    device = frozenset((identity.vendor,)), frozenset((identity.product,))
+    return _described(dictionary, f"node {node} on {bus}", device, values, unread), dictionary, identity
+
+
+def parameters_of(path: Path, node: int | None = None) -> ParameterSet:
+    """Read the parameter values of a DCF or XDC; identifiers that follow the node-ID are those of ``node``,
+    default: the file's own.
+
+    Raises BadInput for a file without parameter values.
+    """
+    dictionary, values = load_dictionary(path, node).dictionary, dict[Place, bytes]()
+    for variable in parameters_in(dictionary):
+        if variable.value is not None:
+            values[variable.index, variable.subindex] = _encoded(variable, path)
+    if not values:
+        cure = "hil params save writes one; an EDS or XDD tells defaults only"
+        raise BadInput(str(path), "ParameterValue", "none", "a DCF or XDC with parameter values", cure)
+    told = told_identity(dictionary)
+    return _described(dictionary, str(path), (frozenset(told.vendor), frozenset(told.product)), values, {})
+
+
+def configuration_text(
+    read: ParameterSet, dictionary: ObjectDictionary, identity: Identity, bitrate_bit_s: int
+) -> str:
+    """Return the data sheet as a DCF (CiA 306-1), with the values of ``read`` as its ParameterValues."""
+    for variable in variables_in(dictionary):
+        value = read.values.get((variable.index, variable.subindex))
+        to_write: Any = variable  # canopen adds value_raw to what it has read of a file
+        to_write.value_raw = None if value is None else value_text(value, variable.data_type)
+        to_write.value = None
+    device = dictionary.device_information
+    device.vendor_number, device.product_number = identity.vendor, identity.product
+    device.revision_number = identity.revision
+    dictionary.bitrate = bitrate_bit_s
+    text = io.StringIO()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # datetime.utcnow() in canopen
+        export_od(dictionary, text, "dcf")
+    return text.getvalue()
+
+
+def differences(first: ParameterSet, second: ParameterSet) -> list[ParameterDifference]:
+    """Return the parameters in which two sets differ, by index and sub-index.
+
+    Parameters that only one of them has are among them, with an empty value of the other. Raises BadInput
+    for sets of two devices.
+    """
+    for part, mine, theirs in zip(("vendor-ID", "product code"), first.device, second.device, strict=True):
+        if mine and theirs and not mine & theirs:
+            told, expected = (" or ".join(f"{each:08X}h" for each in sorted(ids)) for ids in (theirs, mine))
+            raise BadInput(second.source, f"1018h {part}", told, f"{expected}, that of {first.source}")
+    found = []
+    for place in sorted(first.values.keys() | second.values.keys()):
+        owner = first if place in first.values else second
+        texts = [_compared(each.values.get(place), owner.types[place]) for each in (first, second)]
+        if texts[0] != texts[1]:
+            found.append(ParameterDifference(place, owner.names[place], *texts))
+    return found
+
+
+def _compared(value: bytes | None, data_type: int) -> str:
+    """Return a value as it is compared and shown; a DCF does not tell an empty text from none."""
+    return "" if value is None else value_text(value, data_type)
+
+
+def parameters_in(dictionary: ObjectDictionary) -> Iterator[ODVariable]:
+    """Yield the variables of a data sheet that are parameters."""
+    for variable in variables_in(dictionary):
+        kept = variable.index not in NO_PARAMETERS and variable.data_type != DataType.DOMAIN
+        if kept and variable.writable and variable.readable:
+            yield variable
+
+
+def value_text(value: bytes, data_type: int | None) -> str:
+    """Return a value as CiA 306-1 writes it: numbers in decimal, those without sign in hexadecimal, text as
+    it is, all else as bytes in hexadecimal."""
+    if data_type in REAL_BITS and len(value) == REAL_BITS[DataType(data_type)] // 8:
+        return repr(ODVariable.STRUCT_TYPES[data_type].unpack(value)[0])
+    if data_type in _NUMBERS and value:
+        signed = data_type in SIGNED_BITS
+        number = int.from_bytes(value, "little", signed=signed)
+        return str(number) if signed else f"0x{number:0{2 * len(value)}X}"
+    text = _text_of(value, data_type)
+    return value.hex().upper() if text is None else text
+
+
+def _text_of(value: bytes, data_type: int | None) -> str | None:
+    """Return a text without the zeros that fill it up; None for another type, and for what is no text."""
+    coding = _TEXTS.get(data_type or 0)
+    with suppress(UnicodeDecodeError):
+        return None if coding is None else value.decode(coding).rstrip("\0")
+    return None
+
+
+def _is_kept_by_a_dcf(value: bytes, data_type: int | None) -> bool:
+    """Return False for a text that a line of a DCF would change: it ends at a semicolon, is trimmed, and has
+    no escapes."""
+    if data_type not in _TEXTS:
+        return True
+    text = _text_of(value, data_type)
+    return (
+        text is not None
+        and text.isascii()
+        and text.isprintable()
+        and text == text.strip()
+        and ";" not in text
+    )
+
+
+def _encoded(variable: ODVariable, path: Path) -> bytes:
+    place = object_name(variable.index, variable.subindex)
+    value: Any = variable.value
+    try:
+        if variable.data_type in _NUMBERS and isinstance(value, int):
+            length = -(-_NUMBERS[DataType(variable.data_type)] // 8)
+            return value.to_bytes(length, "little", signed=value < 0)
+        return bytes(variable.encode_raw(value))
+    except (OverflowError, TypeError, ValueError) as error:
+        raise BadInput(str(path), place, value, "a value of its DataType", str(error)) from None
+
+
+def _described(
+    dictionary: ObjectDictionary,
+    source: str,
+    device: tuple[frozenset[int], frozenset[int]],
+    values: Mapping[Place, bytes],
+    unread: Mapping[Place, str],
+) -> ParameterSet:
+    names, types = dict[Place, str](), dict[Place, int]()
+    for variable in parameters_in(dictionary):
+        place = variable.index, variable.subindex
+        parent = variable.parent
+        above = f"{parent.name}: " if isinstance(parent, ODArray | ODRecord) else ""
+        names[place], types[place] = above + variable.name, variable.data_type or 0
+    return ParameterSet(source, device, values, names, types, unread)

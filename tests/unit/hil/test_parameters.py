@@ -1,0 +1,91 @@
+"""Values of every data type into a DCF and back: the bytes are the same."""
+
+import random
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from canopen.objectdictionary import ObjectDictionary, ODVariable
+
+from servobench.drivers.canopen.data_types import BITS, REAL_BITS, DataType
+from servobench.drivers.cia402.drive_setup import Identity
+from servobench.hil.inspecting.parameters import (
+    ParameterSet,
+    configuration_text,
+    differences,
+    parameters_of,
+    value_text,
+)
+
+IDENTITY = Identity("a drive", 0xA11, 0xB22, 3, 4, 0x20192)
+KINDS = [kind for kind in DataType if kind is not DataType.DOMAIN]
+LETTERS = "abcXYZ 0123456789%$#=[]"
+
+
+def drawn(kind: DataType, draw: random.Random) -> bytes:
+    if kind in (DataType.VISIBLE_STRING, DataType.UNICODE_STRING):
+        text = "".join(draw.choices(LETTERS, k=draw.randrange(12))).strip()
+        return text.encode("utf_16_le" if kind is DataType.UNICODE_STRING else "ascii")
+    if kind is DataType.BOOLEAN:
+        return bytes([draw.randrange(2)])
+    if kind in REAL_BITS:
+        value = draw.choice([0.0, -1.5, 1e-30, draw.uniform(-1e6, 1e6)])
+        return struct.pack("<f" if REAL_BITS[kind] == 32 else "<d", value)
+    length = BITS[kind] // 8 if kind in BITS else draw.randrange(1, 9)
+    return draw.choice([bytes(length), b"\xff" * length, draw.randbytes(length)])
+
+
+def dictionary_of(count: int) -> Any:
+    """So many variables of each kind, from 2000h on."""
+    dictionary: Any = ObjectDictionary()  # type: ignore[no-untyped-call]
+    dictionary.node_id = 1
+    for number, kind in enumerate(kind for kind in KINDS for _ in range(count)):
+        variable = ODVariable(f"variable {number}", 0x2000 + number, 0)
+        variable.data_type, variable.access_type = kind, "rw"
+        dictionary.add_object(variable)
+    return dictionary
+
+
+def held(values: dict[tuple[int, int], bytes], source: str = "a drive") -> ParameterSet:
+    kinds = {place: KINDS[(place[0] - 0x2000) // 8] for place in values}
+    device = frozenset((IDENTITY.vendor,)), frozenset((IDENTITY.product,))
+    names = dict.fromkeys(values, "a name")
+    return ParameterSet(source, device, values, names, kinds, {})
+
+
+def worlds(seed: int) -> Iterator[dict[tuple[int, int], bytes]]:
+    draw = random.Random(seed)
+    for _ in range(10):
+        yield {(0x2000 + number, 0): drawn(KINDS[number // 8], draw) for number in range(8 * len(KINDS))}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_each_value_comes_back_bit_for_bit(seed: int, tmp_path: Path) -> None:
+    for values in worlds(seed):
+        path = tmp_path / "drive.dcf"
+        path.write_text(configuration_text(held(values), dictionary_of(8), IDENTITY, 500_000))
+        again = parameters_of(path)
+        assert {place: (value, again.values.get(place)) for place, value in values.items()
+                if again.values.get(place, b"") != value} == {}  # fmt: skip
+        assert differences(held(values), again) == []
+        assert again.device == (frozenset((0xA11,)), frozenset((0xB22,)))
+
+
+def test_numbers_are_written_as_cia_306_has_them() -> None:
+    assert value_text(b"\xfe\xff", DataType.INTEGER16) == "-2"
+    assert value_text(b"\xfe\xff", DataType.UNSIGNED16) == "0xFFFE"
+    assert value_text(struct.pack("<f", 0.1), DataType.REAL32) == "0.10000000149011612"
+    assert value_text(b"abc\0", DataType.VISIBLE_STRING) == "abc"
+    assert value_text(b"\x01\xab", DataType.OCTET_STRING) == "01AB"
+
+
+def test_what_only_one_of_two_has_differs() -> None:
+    first, second = {(0x2000, 0): b"\1", (0x2001, 0): b"\0"}, {(0x2001, 0): b"\1", (0x2002, 0): b"\1"}
+    found = differences(held(first), held(second, "another"))
+    assert [(each.place[0], each.first, each.second) for each in found] == [
+        (0x2000, "0x01", ""),
+        (0x2001, "0x00", "0x01"),
+        (0x2002, "", "0x01"),
+    ]
