@@ -204,7 +204,7 @@ def explain(judged: Judged, bursts: Bursts) -> Explanation:
     try:
         bus = RecordedBus(run.folder)
         known, zero_ns = bus.known([]), bus.zero_ns or 0
-        notes += bus.notes
+        notes += [*bus.notes, *bus.log.notes()]
         for place in shown:
             window = LogWindow(zero_ns + place.begin_ns - AROUND_NS, zero_ns + place.end_ns + AROUND_NS)
             entries = decode(bus.of_window(window), known, window.end_ns)

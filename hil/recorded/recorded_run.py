@@ -96,9 +96,13 @@ def open_run(folder: Path, *, unsealed: bool = False, whole: bool = False) -> Re
         expected = f"a run with its {SUMMARY_FILE}"
         raise BadInput("RUN", "", str(folder), expected, "hil recover ends it")
     if whole:
-        refuse_without_end(folder)
+        refuse_without_end(folder / RECORDS_FILE)
     seal = seal_of(folder, unsealed=unsealed)
-    metadata = read_metadata(folder / RECORDS_FILE)
+    records = folder / RECORDS_FILE
+    metadata = read_metadata(records)
+    if not metadata:
+        found = f"no head in {records.stat().st_size} bytes"
+        raise BadInput(str(records), "", found, "cycle records as they were written: it is damaged")
     written_in = metadata.get("format", "none")
     if not written_in.isdecimal() or not 1 <= int(written_in) <= int(FORMAT):
         raise BadInput("RUN", "format", written_in, f"a recording of format 1 to {FORMAT}")

@@ -53,7 +53,7 @@ class RecordedRows:
         self.path = folder / RECORDS_FILE
         if not self.path.is_file():
             raise not_a_recording(folder, RECORDS_FILE)
-        refuse_without_end(folder)
+        refuse_without_end(self.path)
         self.seal = NOT_CHECKED if unsealed else check_seal(folder)
         with damage_told(self.path):
             self.schema = self._open(None).schema

@@ -10,7 +10,7 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -85,19 +85,14 @@ def batch_of(frames: NDArray[np.void], offset: int, schema: pa.Schema) -> pa.Rec
 def frames_of(batch: pa.RecordBatch) -> NDArray[np.void]:
     """Return (n,) of FRAME_DTYPE whose ``at`` is the stamp, ns since 1970: inverse of :func:`batch_of`."""
     frames = np.zeros(batch.num_rows, FRAME_DTYPE)
-
-    def column(name: str) -> NDArray[np.generic]:
-        values: NDArray[np.generic] = batch.column(name).to_numpy(zero_copy_only=False)
-        return values
-
-    frames["at"] = batch.column("stamp").cast(pa.int64()).to_numpy()
-    error, extended = column("error").astype(bool), column("extended").astype(bool)
+    frames["at"] = _values(batch.column("stamp").view(pa.int64()))
+    error, extended = _values(batch.column("error")), _values(batch.column("extended"))
     # linux/can.h: an error frame has a 29-bit identifier, its class
     flags = np.where(extended | error, EXTENDED_FLAG, 0) | np.where(error, ERROR_FLAG, 0)
-    flags |= np.where(column("remote").astype(bool), REMOTE_FLAG, 0)
-    frames["can_id"] = column("can_id").astype(np.int64) | flags
-    frames["sent"] = column("segment").astype(np.uint8) << 1 | column("sent").astype(np.uint8)
-    frames["length"] = column("dlc")
+    flags |= np.where(_values(batch.column("remote")), REMOTE_FLAG, 0)
+    frames["can_id"] = _values(batch.column("can_id")).astype(np.int64) | flags
+    frames["sent"] = _values(batch.column("segment")) << 1 | _values(batch.column("sent"))
+    frames["length"] = _values(batch.column("dlc"))
     data = batch.column("data")
     _, offsets, payload = data.buffers()
     begins = np.frombuffer(offsets, np.int32, batch.num_rows + 1, data.offset * 4)
@@ -108,6 +103,22 @@ def frames_of(batch: pa.RecordBatch) -> NDArray[np.void]:
         held = np.frombuffer(payload, np.uint8)[begins[0] : begins[-1]]
         frames["data"][lengths[:, None] > _BYTES] = held
     return frames
+
+
+def _values(column: pa.Array) -> NDArray[Any]:
+    """Return (n,) of numbers or truth values as they lie in memory.
+
+    ``to_numpy`` would load pandas for it, which takes longer than a window of an hour is read in. Raises
+    ValueError or TypeError for a column with nulls, or of another type.
+    """
+    if not pa.types.is_boolean(column.type):
+        values: NDArray[Any] = np.from_dlpack(column)
+        return values
+    if column.null_count:
+        raise ValueError(f"{column.null_count} nulls")
+    bits = np.frombuffer(column.buffers()[1] or b"", np.uint8)
+    whole = np.unpackbits(bits, count=column.offset + len(column), bitorder="little")
+    return whole[column.offset :].view(np.bool_)
 
 
 class FrameBatch(NamedTuple):

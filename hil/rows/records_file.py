@@ -209,11 +209,10 @@ def _schema_of(path: Path) -> pa.Schema | None:
             return None
 
 
-def refuse_without_end(folder: Path) -> None:
-    """Raise BadInput if the records of a run have not come to their end, or have lost it."""
-    path = folder / RECORDS_FILE
+def refuse_without_end(path: Path) -> None:
+    """Raise BadInput if records or frames of a run have not come to their end, or have lost it."""
     if not is_whole(path):
-        remedy = f"once it has ended: hil recover {folder}"
+        remedy = f"once it has ended: hil recover {path.parent}"
         raise BadInput(str(path), "", "no end of the file", "the recording of a run that has ended", remedy)
 
 

@@ -99,6 +99,8 @@ def _read(
         run, frames, end_ns = _recorded(source, selection, unsealed)
         if isinstance(run.log, FrameColumns) and _is_long(selection):
             _print_columns(run, run.log, sheets, selection, as_json)
+            for note in run.log.notes():
+                say(f"hil: note: {source}: {note}")
             return
         notes, zero_ns, known = run.log.notes, run.zero_ns, run.known(sheets)
         for note in run.notes:

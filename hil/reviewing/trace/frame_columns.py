@@ -20,6 +20,7 @@ from servobench.hil.rows.frames_index import (
     needed_behind,
     read_index,
 )
+from servobench.hil.rows.records_file import is_whole
 from servobench.hil.rows.run_files import FRAMES_FILE
 
 EVER_NS: Final = 1 << 62
@@ -62,8 +63,8 @@ class FrameColumns:
             yield from self.log_frames(frames, numbers)
 
     def notes(self) -> list[str]:
-        """Return remarks on the log for the reader of the frames: none."""
-        return []
+        """Return remarks on the log for the reader of the frames: that it has lost its end, or still grows."""
+        return [] if is_whole(self._path) else [f"{FRAMES_FILE} has no end; told as far as it goes"]
 
     def parts(self) -> Iterator[tuple[NDArray[np.void], NDArray[np.int64]]]:
         """Yield frames, (n,) of FRAME_DTYPE, with their numbers, (n,)."""

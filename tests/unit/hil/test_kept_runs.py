@@ -219,8 +219,13 @@ def test_a_recording_of_another_format_is_refused(folder: Path, written_in: str,
     assert str(caught.value) == f"RUN: format: found '{written_in}', expected a recording of format 1 to 5"
 
 
-def test_a_recording_whose_head_was_cut_off_has_no_format(folder: Path) -> None:
+@pytest.mark.parametrize("left", [b"", b"ARROW1"])
+def test_records_whose_head_was_cut_off_are_told_by_file(folder: Path, left: bytes) -> None:
     (folder / "seal").unlink()
-    (folder / "records.arrow").write_bytes(b"ARROW1")
-    with pytest.raises(BadInput, match=r"^RUN: format: found 'none', expected a recording of format 1 to 5$"):
+    (folder / "records.arrow").write_bytes(left)
+    with pytest.raises(BadInput) as caught:
         open_run(folder)
+    assert str(caught.value) == (
+        f"{folder / 'records.arrow'}: found 'no head in {len(left)} bytes', "
+        "expected cycle records as they were written: it is damaged"
+    )
