@@ -4,6 +4,7 @@ injected or seen just before, and the cycles and frames around.
 The figures are those of the verdict and of the review; nothing is judged here.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -41,6 +42,8 @@ _BURST_CYCLES: Final = 3
 """Fewer in a row are no burst, unless a limit speaks of dropouts."""
 _OF_DROPOUTS: Final = ("dropouts_percent_max", "losses_in_a_row_max", "missed_percent_max")
 _OF_DELAYS: Final = ("delay_p99_us_max", "certified_action_delay_us")
+_OF_TIMES: Final = ("settling_time_ms_max", "recovery_time_ms_max")
+"""What is too long goes on behind its instant for as long as it is: what was injected meanwhile is a cause."""
 _FATES: Final = next(column.codes for column in COLUMNS if column.name == "fate")
 _BY_LIMITS: Final = (VerdictKind.NOT_PASSED, VerdictKind.NOT_MEASURED)
 _WORTH: Final = ("WARN", "ERROR", "CRITICAL")
@@ -136,7 +139,9 @@ class GuiltyPlace:
     """What, each in words."""
     axes: list[str] = field(default_factory=list)
     before: list[str] = field(default_factory=list)
-    """What was injected or seen, the latest last."""
+    """What was injected or seen just before and within, the latest last."""
+    goes_on_to_ns: int = 0
+    """Until when that counts, run time, where it is later than the last span."""
     cycles: list[dict[str, Any]] = field(default_factory=list)
     frames: list[TraceEntry] = field(default_factory=list)
 
@@ -255,7 +260,10 @@ def _places(
         elif at_ns is None or check.result is LimitResult.NOT_MEASURED:
             elsewhere.append(text)
         else:
-            found.append(GuiltyPlace([(at_ns, at_ns)], [text], [check.axis] if check.axis else []))
+            place = GuiltyPlace([(at_ns, at_ns)], [text], [check.axis] if check.axis else [])
+            if check.metric in _OF_TIMES and check.value is not None and math.isfinite(check.value):
+                place.goes_on_to_ns = at_ns + round(check.value * NS_PER_MS)
+            found.append(place)
     for number, burst in enumerate(sorted(bursts, key=lambda each: -each.cycles)):
         if of_dropouts or burst.cycles >= _BURST_CYCLES:
             told = [*(of_dropouts if number == 0 else ()), str(burst)]
@@ -277,6 +285,7 @@ def _merged(found: Sequence[GuiltyPlace]) -> list[GuiltyPlace]:
         for place in places:
             if one.begin_ns <= place.end_ns + AROUND_NS and place.begin_ns <= one.end_ns + AROUND_NS:
                 place.spans += one.spans
+                place.goes_on_to_ns = max(place.goes_on_to_ns, one.goes_on_to_ns)
                 place.told += [text for text in one.told if text not in place.told]
                 place.axes += [axis for axis in one.axes if axis not in place.axes]
                 break
@@ -300,7 +309,7 @@ def _before(events: Sequence[Mapping[str, Any]], place: GuiltyPlace) -> list[str
     told = list[tuple[int, str]]()
     for event in sorted(events, key=lambda each: int(each["at_ns"])):
         at_ns = int(event["at_ns"])
-        if at_ns > place.end_ns:
+        if at_ns > max(place.end_ns, place.goes_on_to_ns):
             break
         track = str(event.get("track", ""))
         if track.startswith(INJECTED_TRACK):

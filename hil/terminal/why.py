@@ -22,6 +22,9 @@ _END: Final = 6
 """Cycles of the beginning of a long stretch, and of its end."""
 _FRAMES_NS: Final = 3 * NS_PER_MS // 2
 """About the beginning of a place, that are shown; --all shows all."""
+_SEEN: Final = 3
+"""Lines of what was seen, of each place, at the end of a run."""
+_NOTHING_SEEN: Final = "nothing was injected or seen within, nor for 0.5 s before"
 _HEAD: Final = (
     "   axis        cycle         due s  reading   delay us  asked r/min    r/min  command N m  command"
 )
@@ -84,7 +87,7 @@ def brief_lines(summary: "Summary") -> Iterator[str]:
     told = brief(summary, folder)
     for place in told.places:
         yield f"Why        at {_second(place.begin_ns)} s  {'; '.join(place.told)}"
-        yield from (f"           before: {line}" for line in place.before[-2:])
+        yield from (f"           seen: {line}" for line in place.before[-_SEEN:])
     yield f"Why        hil why {folder} shows the guilty cycles and frames"
 
 
@@ -94,7 +97,7 @@ def _print(title: str, told: "Explanation", folder: Path, everything: bool) -> N
         echo(f"\n{number}. {_stretch(place)}")
         for line in place.told:
             echo(f"   {line}")
-        echo("   before:" if place.before else "   before: nothing was injected or seen for 0.5 s")
+        echo("   seen just before and within:" if place.before else f"   {_NOTHING_SEEN}")
         for line in place.before:
             echo(f"     {line}")
         _print_cycles(place, everything)

@@ -22,6 +22,7 @@ HALF = "[verdict]\ndropouts_percent_max = 50.0\n"
 LIMITS = """
 [verdict]
 overshoot_percent_max = 10.0
+settling_time_ms_max = 100.0
 speed_error_peak_percent_max = 2.0
 dropouts_percent_max = 1.0
 delay_p99_us_max = 100.0
@@ -115,6 +116,7 @@ def test_the_end_of_a_run_that_did_not_pass_says_it_in_short(ran: tuple[Path, st
     why = [line for line in printed.splitlines() if line.startswith("Why ")]
     assert "axis1: overshoot of a step [%]: 50.9" in why[0]
     assert why[-1] == f"Why        hil why {run} shows the guilty cycles and frames"
+    assert any("seen: " in line and "injected from here: blackout" in line for line in printed.splitlines())
     passed = hil("run", bench_file(tmp_path, HALF), "--record", tmp_path / "run")
     assert (passed.exit_code, "Why " in passed.stdout) == (0, False)
     fine = hil("why", tmp_path / "run")

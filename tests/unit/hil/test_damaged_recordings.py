@@ -1,0 +1,17 @@
+"""Recordings damaged by seed: each reader names the file or shows what can be shown, in bounded memory."""
+
+import subprocess
+import sys
+
+import pytest
+
+from tests.told import ROOT
+
+
+@pytest.mark.long
+def test_no_reader_fails_at_a_damaged_recording() -> None:
+    """Each file of a recording twice; ``python -m tests.damage`` draws more."""
+    command = [sys.executable, "-m", "tests.damage", "--count", "22"]
+    ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    assert ended.stdout.splitlines()[-1].startswith("22 recordings, 0 wrongly told; ")
