@@ -67,6 +67,8 @@ _READERS: Final[dict[str, Reader]] = {
     "asc": lambda run, _whole, out: ("export", f"{run}", "--to", "asc", "--out", f"{out / 'frames.asc'}"),
     "paper": lambda run, _whole, out: ("picture", f"{run}", f"{out / 'paper.svg'}", "--paper"),
 }
+_SEALED: Final = ("review", "window")
+"""Read with their seal, too, which refuses for all readers alike; a window holds but a part against it."""
 
 
 class Damaged(NamedTuple):
@@ -92,10 +94,10 @@ def damage(whole: Path, copy: Path, seed: int, kinds: dict[str, Spoil]) -> Damag
 
 
 def complaints(spoilt: Damaged, copy: Path, whole: Path) -> Iterator[str]:
-    """What readers do that they must not, with the seal and without."""
+    """What readers do that they must not."""
     with tempfile.TemporaryDirectory() as out:
         for name, arguments in _READERS.items():
-            for sealed in (True, False):
+            for sealed in (True, False) if name in _SEALED else (False,):
                 asked = [*arguments(copy, whole, Path(out)), *(() if sealed else ("--unsealed",))]
                 ended = CliRunner().invoke(app, asked)
                 how = f"{name}{'' if sealed else ' --unsealed'}"
