@@ -43,7 +43,7 @@ _BURST_CYCLES: Final = 3
 _OF_DROPOUTS: Final = ("dropouts_percent_max", "losses_in_a_row_max", "missed_percent_max")
 _OF_DELAYS: Final = ("delay_p99_us_max", "certified_action_delay_us")
 _OF_TIMES: Final = ("settling_time_ms_max", "recovery_time_ms_max")
-"""What is too long goes on behind its instant for as long as it is: what was injected meanwhile is a cause."""
+"""What is too long goes on behind its instant for so long: what was injected meanwhile is a cause."""
 _FATES: Final = next(column.codes for column in COLUMNS if column.name == "fate")
 _BY_LIMITS: Final = (VerdictKind.NOT_PASSED, VerdictKind.NOT_MEASURED)
 _WORTH: Final = ("WARN", "ERROR", "CRITICAL")

@@ -23,7 +23,7 @@ from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import Instant
 from servobench.hil.loop.cycle_record import COLUMNS, FATE_SAMPLE, NAMES, NOTHING, Column
 from servobench.hil.rows.records import ROW_DTYPE, Rows
-from servobench.hil.rows.run_files import FORMAT, RECORDS_FILE
+from servobench.hil.rows.run_files import FORMAT
 
 MAGIC = b"ARROW1\0\0"
 _MAGIC_END = b"ARROW1"

@@ -63,7 +63,7 @@ class FrameColumns:
             yield from self.log_frames(frames, numbers)
 
     def notes(self) -> list[str]:
-        """Return remarks on the log for the reader of the frames: that it has lost its end, or still grows."""
+        """Return remarks for the reader of the frames: that they have lost their end, or still grow."""
         return [] if is_whole(self._path) else [f"{FRAMES_FILE} has no end; told as far as it goes"]
 
     def parts(self) -> Iterator[tuple[NDArray[np.void], NDArray[np.int64]]]:
