@@ -167,10 +167,10 @@ def rounding_of(problem: LmiProblem, y: Array) -> float:
 
 
 def _ask(problem: LmiProblem, tolerance: float, enough: float) -> clarabel.DefaultSolution:
-    columns, bounds, cones = [], [], []
+    rows, bounds, cones = [], [], []
     for inequality in problem.inequalities:
         m = len(inequality.constant)
-        columns.append(-_triangle(inequality.coefficients).T)
+        rows.append(-_triangle(inequality.coefficients))
         bounds.append(_triangle(inequality.constant - problem.margin * np.eye(m)))
         cones.append(clarabel.PSDTriangleConeT(m))
     n = problem.unknowns.count
@@ -182,12 +182,19 @@ def _ask(problem: LmiProblem, tolerance: float, enough: float) -> clarabel.Defau
     solver = clarabel.DefaultSolver(
         _no_quadratic_cost(n),
         problem.objective,
-        sparse.csc_matrix(np.vstack(columns)),
+        _by_unknowns(np.hstack(rows)),
         np.concatenate(bounds),
         cones,
         settings,
     )
     return solver.solve()
+
+
+def _by_unknowns(rows: Array) -> sparse.csc_matrix:
+    """Return the transpose of the (unknowns, entries) given, sparse."""
+    places, entries = np.nonzero(rows)
+    starts = np.searchsorted(places, np.arange(len(rows) + 1))
+    return sparse.csc_matrix((rows[places, entries], entries, starts), shape=rows.shape[::-1])
 
 
 @cache

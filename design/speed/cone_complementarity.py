@@ -39,6 +39,8 @@ _STARTS = 8
 """First delays tried, each half of the last."""
 _SETTLED = 10
 """Iterations after which the pace of the algorithm says how far it will come."""
+_DIGITS = 6
+"""Decimals, behind the first digit, of the delays from which it goes on."""
 _MATRICES = ("X", "P", "Q", "Z", "M", "S", "N")
 
 
@@ -60,7 +62,7 @@ def largest_ccl_delay(model: SpeedModel, gamma: float) -> SpeedDesign:
     Raises NoSolution if even the first feasible set, S = X, is not found.
     """
     delay_s, K, point = _first_gain(model, gamma)
-    delay_s = max(delay_s, certified_delay_within(model, K, gamma))
+    delay_s = max(delay_s, _certified_delay_s(model, K, gamma))
     step = _FIRST_STEP
     while step > _LAST_STEP:
         tried_s = delay_s * (1.0 + step)
@@ -69,10 +71,18 @@ def largest_ccl_delay(model: SpeedModel, gamma: float) -> SpeedDesign:
             step /= 4.0
             continue
         K = gain
-        delay_s = max(tried_s, certified_delay_within(model, K, gamma))
-    # a hair below the delay that root finding gave, so that rounding cannot spoil the certificate
+        delay_s = max(tried_s, _certified_delay_s(model, K, gamma))
+    # a hair below it, so that rounding cannot spoil the certificate
     delay_s *= 1.0 - 1e-7
     return SpeedDesign(K, delay_s, certified_gain(model, model.loop(K, delay_s), 0).gain)
+
+
+def _certified_delay_s(model: SpeedModel, K: Array, gamma: float) -> float:
+    """Return the certified delay, s, rounded down: the iterations that start from it end up to 1e-3 apart
+    where it differs by 1e-10."""
+    delay_s = certified_delay_within(model, K, gamma)
+    unit_s = 10.0 ** (math.floor(math.log10(delay_s)) - _DIGITS) if delay_s > 0.0 else 1.0
+    return math.floor(delay_s / unit_s) * unit_s
 
 
 def _first_gain(model: SpeedModel, gamma: float) -> tuple[float, Array, dict[str, Array]]:

@@ -14,6 +14,7 @@ afterwards, like every certificate.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from scipy.optimize import brentq
@@ -32,6 +33,8 @@ _ENOUGH = 2e-6
 """Relative gain of a round below which no further one begins."""
 _CLIMBED = 2
 """Number of best starts that are followed to their optimum."""
+_SMALL = 1e-9
+"""Squared share of the gain allowed that is as good as nothing."""
 _STEP = 1e-5
 """Relative step of the differences by which the inequalities' derivatives are taken."""
 
@@ -90,9 +93,11 @@ def certified_delay_within(model: SpeedModel, K: Array, gamma: float) -> float:
     if stable_s == 0.0 or hinf_norm(model.loop(K, 0.0)) >= gamma:
         return 0.0
 
+    @cache  # root finding asks again for the ends that it is given
     def excess(delay_s: float) -> float:
-        value = _value(model, K, delay_s, gamma)
-        return 1.0 if value is None else min(0.5 * math.log(value.squared), 1.0)
+        # of the inverse square, which falls almost evenly, to 0 where no gain is certified any more
+        value = _certified(model, model.loop(K, delay_s), gamma)
+        return 1.0 if value is None else 1.0 - 1.0 / max(value.squared, _SMALL)
 
     high = stable_s * (1.0 - 1e-9) if math.isfinite(stable_s) else 10.0
     low = high
@@ -126,14 +131,18 @@ class _Value:
 def _value(model: SpeedModel, K: Array, delay_s: float, gamma: float, slopes: bool = False) -> _Value | None:
     """Return the value; None where the programme has no optimum: the loop is not certified, or not stable."""
     loop = model.loop(K, delay_s)
-    if not is_stable(loop):
-        return None
+    return _certified(model, loop, gamma, slopes) if is_stable(loop) else None
+
+
+def _certified(model: SpeedModel, loop: DelayLoop, gamma: float, slopes: bool = False) -> _Value | None:
+    """Return the value of a loop known to be stable."""
     problem = gain_problem(scaled(loop, model.state_scale, gamma), 0)
     try:
         answer = solve(problem)
     except NoSolution:
         return None
     squared = float(answer.y[-1])
+    K, delay_s = loop.K, loop.delay_s
     n = len(K)
     if not slopes:
         return _Value(squared, np.zeros(n), 0.0)
@@ -216,10 +225,7 @@ class _Walk(GainWalk):
             slack = -0.5 * math.log(value.squared)
             part = -0.5 / value.squared
             last = part * value.by_log_delay if self._for_delay else 1.0
-            by_gain = value.by_gain.copy()
-            if self._model.has_integral:
-                by_gain[1] += by_gain[2] * self._K[2] / self._K[1]
-            slope = np.append(part * by_gain[self._free] * self._scale, last)
+            slope = np.append(part * self.by_entries(value.by_gain), last)
             if not self._for_delay:
                 slack += float(x[-1])
         self._known = (key, slack, slope)

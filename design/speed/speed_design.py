@@ -13,22 +13,24 @@ the best of several is returned, and its norm is the proven one of :mod:`servobe
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy.optimize import minimize
 
 from servobench.design.delay.delay_loop import Array, DelayLoop, loop_function
 from servobench.design.delay.delay_norm import (
+    first_delay_beyond_s,
     hinf_norm,
     is_stable,
-    largest_stable_delay_s,
     peaks,
     sampled_norm,
 )
 from servobench.design.delay.speed_loop import Feedback, SpeedModel
 from servobench.design.errors import NoSolution
+from servobench.design.statespace import ComplexArray
 
 _EXCHANGES = 30
 """Exchanges at most: of 40 searches 35 end within 19, two are ended here."""
@@ -39,8 +41,12 @@ _RESTARTS = 5
 seven digits."""
 _LEAST = 1e-12
 """Gain at rest with an integral, whose logarithm is needed."""
-_LESS = (0.0, 1e-6, 1e-4, 1e-3, 1e-2, 0.1)
-"""Reductions of the delay: one norm each, where the bisection behind them takes some fifty."""
+_LONGEST_S = 100.0
+"""A gain that is kept with any delay counts as kept with this one."""
+_ROUNDING = 1e-9
+"""Relative excess of a norm over the bound that counts as rounding."""
+_ROUNDED = (0.0, 1e-9, 1e-8, 1e-7)
+"""Reductions of a delay until its norm is proved to be within the bound."""
 _EXCESS = 1e-8
 """Relative excess of a peak over the bound that is tolerated."""
 _K1_STARTS = (-2.0, -1.4, -1.0, -0.8, -0.6, -0.45, -0.3, -0.15, 0.2)
@@ -113,7 +119,7 @@ def _delay_starts(model: SpeedModel, gamma: float, integral_time_s: float, feedb
     # with current feedback the current loop's rate is a (1 - K1): a small gain may need it fast
     for first in (_K1_STARTS, _K1_FAST):
         tried = speed if feedback is Feedback.SPEED else [_with_current(K, K1) for K in speed for K1 in first]
-        ranked = sorted(((_delay_within(model, K, gamma, coarse=True), K) for K in tried), key=_longest)
+        ranked = sorted(((_delay_within(model, K, gamma), K) for K in tried), key=_longest)
         kept = [K for delay_s, K in ranked[:_REFINED] if delay_s > 0.0]
         if kept or feedback is Feedback.SPEED:
             break
@@ -127,36 +133,16 @@ def _longest(ranked: tuple[float, Array]) -> float:
 def delay_within(model: SpeedModel, K: Array, gamma: float) -> float:
     """Return the largest delay, s, up to which every smaller one keeps the norm within ``gamma``; 0 if
     none."""
-    return _delay_within(model, np.asarray(K, dtype=float), gamma, exact=True)
+    delay_s = _delay_within(model, np.asarray(K, dtype=float), gamma)
+    for less in _ROUNDED:
+        if _keeps(model.loop(K, delay_s * (1.0 - less)), gamma, exact=True):
+            return delay_s * (1.0 - less)
+    return 0.0
 
 
-def _delay_within(
-    model: SpeedModel, K: Array, gamma: float, exact: bool = False, coarse: bool = False
-) -> float:
-    stable_s = largest_stable_delay_s(model.loop(K, 0.0))
-    if stable_s == 0.0:
-        return 0.0
-
-    def within(delay_s: float) -> bool:
-        return _keeps(model.loop(K, delay_s), gamma, exact)
-
-    if not within(0.0):
-        return 0.0
-    high = stable_s if math.isfinite(stable_s) else 100.0
-    # the norm may come back under the bound: look for the first delay at which it leaves it
-    steps = np.linspace(0.0, high, 25)[1:] if math.isfinite(stable_s) else np.geomspace(1e-4, high, 40)
-    low = 0.0
-    for step in steps:
-        if not within(float(step)):
-            high = float(step)
-            break
-        low = float(step)
-    else:
-        return low
-    while high - low > (0.02 * high if coarse else 1e-9 + 1e-9 * high):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if within(middle) else (low, middle)
-    return low
+def _delay_within(model: SpeedModel, K: Array, gamma: float) -> float:
+    """Return the same, found where the frequencies are dense enough: without the proof of the norm."""
+    return min(first_delay_beyond_s(model.loop(K, 0.0), gamma * (1.0 + _ROUNDING)), _LONGEST_S)
 
 
 def _keeps(loop: DelayLoop, gamma: float, exact: bool = False) -> bool:
@@ -164,7 +150,7 @@ def _keeps(loop: DelayLoop, gamma: float, exact: bool = False) -> bool:
     if not is_stable(loop):
         return False
     norm = hinf_norm(loop) if exact else sampled_norm(loop)
-    return norm <= gamma * (1.0 + 1e-9)
+    return norm <= gamma * (1.0 + _ROUNDING)
 
 
 def _starts(model: SpeedModel, delay_s: float, feedback: Feedback, integral_time_s: float) -> list[Array]:
@@ -278,11 +264,7 @@ def _measured(
     K = programme.gain_of(x)
     if gamma is None:
         return SpeedDesign(K, programme.delay_s, worst)
-    # on the way the programme stands outside the bound: a little less delay brings it in
-    for share in _LESS:
-        delay_s = programme.delay_of(x) * (1.0 - share)
-        if (share == 0.0 and worst <= gamma * (1.0 + _EXCESS)) or _keeps(model.loop(K, delay_s), gamma):
-            return SpeedDesign(K, delay_s, gamma)
+    # on the way the programme may stand outside the bound
     delay_s = _delay_within(model, K, gamma)
     return SpeedDesign(K, delay_s, gamma) if delay_s > 0.0 else None
 
@@ -311,6 +293,14 @@ class GainWalk:
     def delay_of(self, x: Array) -> float:
         """Return the delay at ``x``, s."""
         return self.delay_s * math.exp(x[-1]) if self._for_delay else self.delay_s
+
+    def by_entries(self, by_gain: Array) -> Array:
+        """Return slopes by the free entries of x, of those by K, (..., n)."""
+        if self._model.has_integral:
+            # the integral's gain follows the speed's
+            by_gain = by_gain.copy()
+            by_gain[..., 1] += by_gain[..., 2] * self._K[2] / self._K[1]
+        return np.asarray(by_gain[..., self._free] * self._scale)
 
     def optimum(
         self, x: Array, centre: Array, radius: float, tolerance: float, steps_max: int, **slack: Any
@@ -350,10 +340,52 @@ class _Programme(GainWalk):
     def solve(self, x: Array, frequencies: Array, centre: Array, radius: float) -> Array:
         """Return the optimum from ``x``, within ``radius`` of ``centre``, when only ``frequencies`` count."""
 
+        unit_s = 1.0 / float(np.max(np.abs(self._model.A)))
+        known = _FeedbackFunctions(self._model, frequencies * unit_s, unit_s)
+
         def slack(x: Array) -> Array:
-            function = loop_function(self.loop(x))
-            # with an integral the gain at rest is zero
-            values = np.maximum(function.magnitude(frequencies * function.time_unit_s), _LEAST)
+            values, _ = known.gains(self.gain_of(x), self.delay_of(x))
             return np.asarray(math.log(self.allowed(x)) - np.log(values))
 
-        return self.optimum(x, centre, radius, 1e-12, 60, fun=slack)
+        def slope(x: Array) -> Array:
+            _, (by_gain, by_delay) = known.gains(self.gain_of(x), self.delay_of(x))
+            last = -self.delay_of(x) * by_delay if self._for_delay else np.ones(len(frequencies))
+            return np.column_stack([-self.by_entries(by_gain), last])
+
+        return self.optimum(x, centre, radius, 1e-12, 60, fun=slack, jac=slope)
+
+
+class _FeedbackFunctions:
+    """log |G| at given frequencies with its slopes: n and q are affine in K, by polynomials that do not
+    depend on it."""
+
+    def __init__(self, model: SpeedModel, w: Array, unit_s: float) -> None:
+        """``w``: (m,) frequencies, rad per ``unit_s``."""
+        each = [loop_function(model.loop(K, 0.0), unit_s) for K in np.eye(len(model.A))]
+        self._s = 1j * w
+        self._unit_s = unit_s
+
+        def at(parts: Sequence[Array]) -> ComplexArray:
+            return np.asarray(np.polynomial.polynomial.polyval(self._s, np.array(parts).T))
+
+        self._n, self._q = at([each[0].numerator.plain, each[0].denominator.plain])
+        self._n_by = at([function.numerator.delayed for function in each]).T
+        self._q_by = at([function.denominator.delayed for function in each]).T
+        self._last: tuple[bytes, float, Any] | None = None
+
+    def gains(self, K: Array, delay_s: float) -> tuple[Array, tuple[Array, Array]]:
+        """Return |G| (m,), and of its logarithm the slopes by K (m, n) and by the delay (m,), 1/s."""
+        key = K.tobytes()
+        if self._last is not None and self._last[:2] == (key, delay_s):
+            return cast("tuple[Array, tuple[Array, Array]]", self._last[2])
+        late = np.exp(-self._s * (delay_s / self._unit_s))
+        n_late, q_late = late * (self._n_by @ K), late * (self._q_by @ K)
+        n, q = self._n - n_late, self._q - q_late
+        # with an integral the gain at rest is zero
+        values = np.maximum(np.abs(n / q), _LEAST)
+        n = np.where(n == 0.0, 1.0, n)
+        by_gain = late[:, None] * (self._q_by / q[:, None] - self._n_by / n[:, None])
+        by_delay = self._s / self._unit_s * (n_late / n - q_late / q)
+        answer = values, (by_gain.real, by_delay.real)
+        self._last = (key, delay_s, answer)
+        return answer

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from servobench.design.delay.delay_loop import DelayLoop
 from servobench.design.delay.delay_norm import (
+    first_delay_beyond_s,
     hinf_norm,
     hinf_peak,
     is_stable,
@@ -81,6 +82,30 @@ def test_norm_is_the_supremum(seed: int) -> None:
     grid = np.concatenate([[0.0], np.geomspace(1e-4, 1e2, 20_000) * scale])
     assert magnitudes(loop, grid).max() <= peak.gain * (1.0 + 1e-7)
     assert magnitudes(loop, np.array([peak.frequency_rad_s]))[0] == pytest.approx(peak.gain, rel=1e-7)
+
+
+@pytest.mark.parametrize("over", [1.02, 1.5, 8.0])
+@pytest.mark.parametrize("seed", range(60))
+def test_the_first_delay_beyond_a_gain_is_where_the_norm_passes_it(seed: int, over: float) -> None:
+    loop = replace(random_loop(seed), delay_s=0.0)
+    gain = over * hinf_norm(loop)
+    if math.isinf(gain):
+        assert first_delay_beyond_s(loop, 1e9) == 0.0
+        return
+    first_s = first_delay_beyond_s(loop, gain)
+    if math.isinf(first_s):
+        delays_s = np.geomspace(1e-3, 1e2, 12) / np.linalg.norm(loop.A)
+        assert max(hinf_norm(replace(loop, delay_s=float(delay_s))) for delay_s in delays_s) <= gain
+        return
+    for share in (0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 1.0 - 1e-6):
+        assert hinf_norm(replace(loop, delay_s=share * first_s)) <= gain
+    assert hinf_norm(replace(loop, delay_s=(1.0 + 1e-6) * first_s)) > gain
+
+
+def test_a_gain_that_is_passed_without_delay_has_no_delay() -> None:
+    loop = replace(speed_model(LING).loop([0.0, -0.0212], 0.0), delay_s=0.0)
+    assert first_delay_beyond_s(loop, 0.99 * hinf_norm(loop)) == 0.0
+    assert first_delay_beyond_s(speed_model(LING).loop([0.0, 0.5], 0.0), 1e6) == 0.0
 
 
 def test_norm_of_a_narrow_resonance_is_not_missed() -> None:
