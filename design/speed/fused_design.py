@@ -21,15 +21,15 @@ from servobench.design.sampled.held_loop import Operation
 from servobench.design.sampled.lossy_loop import LossyLoop, LossyPeriods
 from servobench.design.speed.fused_filter import FusedWalks, fused_filter
 from servobench.design.speed.fused_loop import FusedLoop
-from servobench.design.speed.loop_robustness import (
+from servobench.design.speed.plant_loop import later_s
+from servobench.design.speed.predictor_design import WORST, PredictorRequest, largest_quiet_walk, peak_cost
+from servobench.design.speed.predictor_loop import Prediction
+from servobench.design.speed.speed_robustness import (
     CHANGES,
     LoopRobustness,
     peaks_over_floor,
     stable_bandwidths,
 )
-from servobench.design.speed.plant_loop import later_s
-from servobench.design.speed.predictor_design import WORST, PredictorRequest, largest_quiet_walk, peak_cost
-from servobench.design.speed.predictor_loop import Prediction
 
 PHASES = np.array([0.0, 0.2, 0.35, 0.5, 0.7, 0.9])
 """Instants of the load step, in periods after a sample."""

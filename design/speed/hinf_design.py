@@ -37,15 +37,15 @@ from servobench.design.hinf.plant import GeneralisedPlant
 from servobench.design.hinf.synthesis import gamma_min, synthesise, verified_norm
 from servobench.design.speed.conditioned import Conditioned, conditioned, truncated
 from servobench.design.speed.hinf_loop import HinfLoop
-from servobench.design.speed.loop_robustness import (
+from servobench.design.speed.plant_loop import SHAFT, later_s, split
+from servobench.design.speed.predictor_design import PHASES, WORST, PredictorRequest, peak_cost
+from servobench.design.speed.predictor_plant import FILTERED, LOAD
+from servobench.design.speed.speed_robustness import (
     CHANGES,
     LoopRobustness,
     peaks_over_floor,
     stable_bandwidths,
 )
-from servobench.design.speed.plant_loop import SHAFT, later_s, split
-from servobench.design.speed.predictor_design import PHASES, WORST, PredictorRequest, peak_cost
-from servobench.design.speed.predictor_plant import FILTERED, LOAD
 from servobench.design.statespace import StateSpace, balanced, from_bilinear, series, state_space, to_bilinear
 
 _INERTIA_LEAST = 0.7

@@ -20,12 +20,6 @@ from servobench.design.delay.speed_loop import peak_floor_rad_s
 from servobench.design.errors import InfeasibleDesign
 from servobench.design.motor import PmsmParameters
 from servobench.design.sampled.held_loop import Operation
-from servobench.design.speed.loop_robustness import (
-    CHANGES,
-    LoopRobustness,
-    peaks_over_floor,
-    stable_bandwidths,
-)
 from servobench.design.speed.predictor_loop import Prediction, PredictorLoop, delay_margin_s
 from servobench.design.speed.predictor_plant import (
     KalmanModel,
@@ -35,6 +29,12 @@ from servobench.design.speed.predictor_plant import (
     plant_of,
 )
 from servobench.design.speed.predictor_trial import AdaptiveFilter, Walks, load_step
+from servobench.design.speed.speed_robustness import (
+    CHANGES,
+    LoopRobustness,
+    peaks_over_floor,
+    stable_bandwidths,
+)
 
 _INERTIAS = (1.0, 0.7, 1.3)
 """The motor's own inertia, and +-30 %: the usual uncertainty of the load on a shaft."""

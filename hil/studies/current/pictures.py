@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from servobench.design.current.current_design import AxisDesign, complementary
+from servobench.design.current.current_design import AxisDesign, complementary, step_response
 from servobench.design.hinf.mixed_sensitivity import loop_functions
-from servobench.design.hinf.step_response import step_response
 from servobench.design.papers.azaiz2007 import DriveRun
 from servobench.design.statespace import series
 from servobench.hil.studies.drawing import draw_all, picture

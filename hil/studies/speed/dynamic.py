@@ -16,7 +16,6 @@ from servobench.design.sampled.loss_peak import losses_peak
 from servobench.design.sampled.peak_steps import PeakBound
 from servobench.design.speed.fused_design import FusedDesign
 from servobench.design.speed.hinf_design import HinfDesign, design_hinf, hinf_robustness, uncertainty_norm
-from servobench.design.speed.loop_robustness import LoopRobustness
 from servobench.design.speed.loss_certificate import (
     filter_gains,
     hinf_losses,
@@ -35,6 +34,7 @@ from servobench.design.speed.predictor_peaks import predictor_peak
 from servobench.design.speed.predictor_plant import encoder_noise_rad_s
 from servobench.design.speed.predictor_trial import Walks
 from servobench.design.speed.random_loops import RandomHinf
+from servobench.design.speed.speed_robustness import LoopRobustness
 from servobench.drivers.timebase import US_PER_S
 from servobench.hil.configuration.config_files import Section
 from servobench.hil.configuration.controller_files import (

@@ -8,7 +8,7 @@ import pytest
 import scipy.linalg
 import scipy.signal
 
-from servobench.design.current.current_design import design_axis, reduced_design, rule_weights
+from servobench.design.current.current_design import design_axis, reduced_design, rule_weights, step_figures
 from servobench.design.current.current_loop import (
     Decoupling,
     closed_loop_matrix,
@@ -27,7 +27,6 @@ from servobench.design.hinf.fixed_structure import Structure, tune
 from servobench.design.hinf.margins import margins
 from servobench.design.hinf.mixed_sensitivity import axis_plant, crossing_weight, error_weight, slope_weight
 from servobench.design.hinf.reduction import Method, hankel_singular_values, reduce
-from servobench.design.hinf.step_response import step_figures
 from servobench.design.hinf.system_norm import hinf_norm
 from servobench.design.papers.azaiz2007 import MOTOR, paper_design, printed_figures
 from servobench.design.statespace import (
