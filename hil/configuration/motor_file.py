@@ -1,7 +1,7 @@
 """Motor files: the parameters of a PMSM in TOML, turned into
 :class:`servobench.design.motor.PmsmParameters`, and the mechanism between rotor and load: ``[coupling]``,
 ``[friction]``, ``[[cogging]]``, ``[load]`` and ``[switches]``; ``[saturation]`` and ``[temperature]`` are in
-:mod:`servobench.hil.configuration.iron_tables`.
+:mod:`servobench.hil.configuration.motor_tables`.
 """
 
 import math
@@ -17,8 +17,12 @@ from servobench.drivers.bounded_file import NamedBy
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.vendors.motor_objects import POLE_PAIRS_MAX
 from servobench.hil.configuration.config_files import Section
-from servobench.hil.configuration.iron_tables import SaturationTable, TemperatureTable
-from servobench.hil.configuration.load_tables import LoadTables, SwitchesTable
+from servobench.hil.configuration.motor_tables import (
+    LoadTables,
+    SaturationTable,
+    SwitchesTable,
+    TemperatureTable,
+)
 from servobench.hil.configuration.preset_files import FromPreset, load_file_or_preset
 from servobench.hil.configuration.quantities import (
     CoulombFriction,
