@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from servobench.drivers.timebase import Duration
 from servobench.hil.configuration.network_file import NETWORK_FILE, network_text
 from servobench.hil.recording.append_file import FRAMES_TAIL_FILE, TAIL_FILE, AppendFile, Tail
-from servobench.hil.recording.frame_files import FrameFiles
+from servobench.hil.recording.frame_files import FrameFiles, FrameOrder
 from servobench.hil.recording.run_metadata import run_metadata
 from servobench.hil.reviewing.network_meter import clocks_of
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.events import FaultEntries, RunZero, event_json
-from servobench.hil.rows.frame_order import FrameOrder
 from servobench.hil.rows.frames_file import BATCH_FRAMES
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records import ROW_DTYPE, Rows

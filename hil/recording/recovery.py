@@ -19,14 +19,13 @@ import numpy as np
 from servobench.drivers.errors import BadInput
 from servobench.hil.machine.extras import is_installed
 from servobench.hil.recording.append_file import FRAMES_TAIL_FILE, AppendFile, read_tail
-from servobench.hil.recording.frame_files import append_frames
+from servobench.hil.recording.frame_files import FrameOrder, append_frames
 from servobench.hil.recording.log_files import EventsKeeper, FaultsKeeper, NetworkKeeper
 from servobench.hil.recording.run_folder import Reserve, write_summary
 from servobench.hil.recording.sealer import Sealer
 from servobench.hil.recording.whole_records import Rings, first_cycle, whole_records
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.events import FaultEntries
-from servobench.hil.rows.frame_order import FrameOrder
 from servobench.hil.rows.frames_file import read_batches
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records import ROW_DTYPE

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S
 from servobench.drivers.wire.identifiers import ERROR_FLAG, EXTENDED_FLAG
-from servobench.hil.rows.frame_order import JITTER_NS, SILENCE_NS, FrameOrder
+from servobench.hil.recording.frame_files import JITTER_NS, SILENCE_NS, FrameOrder
 from servobench.hil.rows.side_rows import FRAME, FRAME_DTYPE
 
 SENT, RECEIVED, SENT_ON_SECOND, RECEIVED_ON_SECOND = 1, 0, 3, 2
