@@ -13,7 +13,6 @@ from canopen.objectdictionary import ObjectDictionary
 from servobench.drivers.canopen.pdo import PdoPlan
 from servobench.drivers.canopen.pdo_budget import budget_of
 from servobench.drivers.cia402.drive_setup import DriveSettings, read_scaling
-from servobench.drivers.cia402.lapses import lapses
 from servobench.drivers.cia402.pdo_planner import mode_plan
 from servobench.drivers.cia402.pdo_plans import PlanWish
 from servobench.drivers.cia402.profile import Mode
@@ -28,8 +27,8 @@ from servobench.hil.commissioning.dialog import Dialog, EmergencyStop
 from servobench.hil.commissioning.drive_port import QUANTITY_OF_MODE, DrivePort
 from servobench.hil.commissioning.exercise import EnergyMeter, Exerciser
 from servobench.hil.commissioning.findings import Findings, StepFailed, StepOutcome
-from servobench.hil.commissioning.host_gaps import HostGaps
 from servobench.hil.commissioning.identify import Mechanics
+from servobench.hil.commissioning.lapses import HostGaps, lapses
 from servobench.hil.commissioning.own_faults import advise, passing_cause
 from servobench.hil.commissioning.ramps import set_ramps, within_ramps, write_moves
 from servobench.hil.commissioning.recording import SessionLog
