@@ -49,9 +49,9 @@ _STEPS: Final = ("tests/unit/hil/test_commissioning_travel.py",)
 _TURN: Final = ("tests/unit/hil/test_commissioning_turn.py",)
 
 SAFETY: Final = (
-    Guarded("hil/loop/safety.py", ("*",), _LOOP),
+    Guarded("hil/loop/safety.py", ("*Limits", "SafetyGuard*", MODULE), _LOOP),
     Guarded(
-        "hil/loop/position_path.py",
+        "hil/loop/safety.py",
         ("PositionPath.__init__", "PositionPath.start_from", "PositionPath.towards"),  # the others: how soon
         ("tests/unit/hil/test_position_path.py",),
     ),

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from servobench.hil.loop.position_path import PositionPath
+from servobench.hil.loop.safety import PositionPath
 
 PERIOD_S = 0.001
 RATE, ACCELERATION = 50.0, 2000.0
