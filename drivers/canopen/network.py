@@ -18,14 +18,12 @@ from servobench.drivers.canopen.life_signs import LifeSigns
 from servobench.drivers.canopen.nmt import EMERGENCIES_KEPT, Emergency, NodeStatus, parse_emergency
 from servobench.drivers.canopen.nmt_states import NODE_ID_MAX, NmtCommand, NmtState
 from servobench.drivers.canopen.polls import ObjectPoll, ObjectPolls, Polled
+from servobench.drivers.canopen.posted import PostedDownload, PostedUpload, TransferPost
 from servobench.drivers.canopen.sdo import (
     SDO_ATTEMPTS,
     AnswerQueue,
     BrokenOff,
-    PostedDownload,
-    PostedUpload,
     PumpedSdoClient,
-    TransferPost,
     abort_text,
     object_name,
     written_object,
@@ -328,8 +326,10 @@ class CanopenNetwork(canopen.Network):
         client.RESPONSE_TIMEOUT = self.sdo_timeout_s if timeout_s is None else timeout_s
         client.MAX_RETRIES = attempts
         post = self._posts.get(node_id)
+        if post is None or post.in_flight is None:
+            return client
         with client.taken():  # or a poll of a silent node is posted anew whenever one was given up
-            while post is not None and post.in_flight is not None:
+            while post.in_flight is not None:
                 if not self.pump_one(post.in_flight.deadline):
                     self._keep_house(self.clock.now())  # at its deadline it is repeated or given up
         return client

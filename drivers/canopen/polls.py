@@ -3,7 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from servobench.drivers.canopen.sdo import PostedUpload, PumpedSdoClient, TransferPost
+from servobench.drivers.canopen.posted import PostedUpload, TransferPost
+from servobench.drivers.canopen.sdo import PumpedSdoClient
 from servobench.drivers.timebase import NEVER, Duration, Instant
 
 

@@ -2,6 +2,9 @@
 
 canopen's client and LSS master wait on a queue that another thread fills. Here :class:`AnswerQueue` replaces
 that queue, and waiting on it lets the network handle frames until the answer or the deadline comes.
+
+A bring-up is some hundred transfers of at most four bytes. Those, and uploads, go without canopen's streams,
+which take longer than everything else in such a transfer.
 """
 
 import logging
@@ -19,10 +22,10 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from servobench.drivers.canopen.cob_ids import SDO_ANSWER, SDO_REQUEST
 from servobench.drivers.canopen.owed import OwedAnswers
-from servobench.drivers.errors import NoAnswer, PeerFault, TransferAborted
 from servobench.drivers.timebase import Duration, Instant, duration_s
 
 # canopen logs each repeated request as a warning. Whoever wants to read that sets up logging for it.
+logger = logging.getLogger("canopen.sdo.client")
 logging.getLogger("canopen").addHandler(logging.NullHandler())
 
 SDO_ATTEMPTS = 6
@@ -34,11 +37,12 @@ _ABORT = Struct("<BHBL")
 # First bytes of initiate download and upload, of their answers, and of an abort (CiA 301 7.2.4.3.3,
 # 7.2.4.3.6, 7.2.4.3.17); the answer to an upload tells beside it how many bytes are unused.
 _EXPEDITED_DOWNLOAD = 0x23
-_DOWNLOADED = 0x60
 _INITIATE_UPLOAD = 0x40
-_EXPEDITED_MASK, _EXPEDITED_UPLOAD = 0xF2, 0x42
-_ABORTED = 0x80
-_BROKEN_OFF = (0x05030000, 0x05040000, 0x05040001)
+_EXPEDITED, EXPEDITED_BYTES = 2, 4
+ABORTED = 0x80
+_UPLOAD_SEGMENT, _SEGMENT_MASK = 0x60, 0xE0
+_TOGGLE, _LAST_SEGMENT = 0x10, 1
+_NOT_ALTERNATED, _TIMED_OUT, _NO_COMMAND = _BROKEN_OFF = (0x05030000, 0x05040000, 0x05040001)
 """Toggle bit not alternated, timed out, command specifier not valid (CiA 301 table 22): a server's answers to
 a segment requested again after a lost answer. They say nothing about the object."""
 # Client command specifiers (CiA 301 7.2.4.3).
@@ -46,7 +50,7 @@ _INITIATE_DOWNLOAD = 1
 _BLOCK_DOWNLOAD = 6
 _INITIATE_ANSWERS = {_INITIATE_DOWNLOAD: 3, 2: 2}
 """Initiate download and initiate upload -> server command specifier of the answer, which names the object."""
-_ABORT_ANSWER = _ABORTED >> 5
+_ABORT_ANSWER = ABORTED >> 5
 
 
 class Pump(Protocol):
@@ -78,6 +82,23 @@ def written_object(request: bytes) -> tuple[int, int] | None:
     return (request[1] | request[2] << 8, request[3]) if specifier == _INITIATE_DOWNLOAD else None
 
 
+def initiate_upload(index: int, sub: int) -> bytes:
+    """Return the request that begins to read an object."""
+    return _HEADER.pack(_INITIATE_UPLOAD, index, sub) + bytes(EXPEDITED_BYTES)
+
+
+def expedited_download(index: int, sub: int, value: bytes) -> bytes:
+    """Return the request that writes 1 to 4 bytes."""
+    command = _EXPEDITED_DOWNLOAD | (EXPEDITED_BYTES - len(value)) << 2
+    return _HEADER.pack(command, index, sub) + value.ljust(EXPEDITED_BYTES, b"\0")
+
+
+def uploaded(answer: bytes) -> bytes:
+    """Return the 1 to 4 bytes of the answer to an expedited upload."""
+    unused = answer[0] >> 2 & 3 if answer[0] & 1 else 0
+    return answer[4 : 8 - unused]
+
+
 def object_name(index: int, sub: int) -> str:
     """``6040h:00``."""
     return f"{index:04X}h:{sub:02X}"
@@ -106,10 +127,17 @@ class AnswerQueue:
 
     def get(self, block: bool = True, timeout: float = 0.0) -> bytes:
         """Return the next answer; raises ``queue.Empty`` after ``timeout`` seconds on the bench's clock."""
-        deadline = self._pump.deadline_after(duration_s(timeout if block else 0.0))
+        answer = self.await_one(timeout if block else 0.0)
+        if answer is None:
+            raise queue.Empty
+        return answer
+
+    def await_one(self, timeout: float) -> bytes | None:
+        """Return the next answer, None after ``timeout`` seconds without one."""
+        deadline = self._pump.deadline_after(duration_s(timeout))
         while not self._answers:
             if not self._pump.pump_one(deadline) and not self._answers:
-                raise queue.Empty
+                return None
         return self._answers.popleft()
 
 
@@ -138,11 +166,33 @@ class PumpedSdoClient(SdoClient):
 
     def upload(self, index: int, subindex: int) -> bytes:
         """Read an object; start again if its segments break off."""
-        return bytes(self._complete(partial(super().upload, index, subindex)))
+        return bytes(self._complete(partial(self._upload, index, subindex)))
 
     def download(self, index: int, subindex: int, data: bytes, force_segment: bool = False) -> None:
         """Write an object; start again if its segments break off."""
-        self._complete(partial(super().download, index, subindex, data, force_segment))
+        if 1 <= len(data) <= EXPEDITED_BYTES and not force_segment:
+            self.request_response(expedited_download(index, subindex, data))
+        else:
+            self._complete(partial(super().download, index, subindex, data, force_segment))
+
+    def _upload(self, index: int, subindex: int) -> bytes:
+        answer = self.request_response(initiate_upload(index, subindex))
+        if answer[0] & _EXPEDITED:
+            return uploaded(answer)
+        data, toggle = bytearray(), 0
+        while True:
+            answer = self.request_response(bytes([_UPLOAD_SEGMENT | toggle]) + bytes(7))
+            if answer[0] & _SEGMENT_MASK:
+                self.abort(_NO_COMMAND)
+                raise SdoCommunicationError(f"Unexpected response 0x{answer[0]:02X}")
+            if answer[0] & _TOGGLE != toggle:
+                self.abort(_NOT_ALTERNATED)
+                raise SdoCommunicationError("Toggle bit mismatch")
+            piece = answer[1 : 8 - (answer[0] >> 1 & 7)]
+            data += piece
+            if answer[0] & _LAST_SEGMENT or not piece:
+                return bytes(data)
+            toggle ^= _TOGGLE
 
     def _complete(self, transfer: Callable[[], Any]) -> Any:
         code = 0
@@ -160,8 +210,25 @@ class PumpedSdoClient(SdoClient):
         self._answered_by = _INITIATE_ANSWERS.get(sdo_request[0] >> 5)
         if self._answered_by is not None:
             self._multiplexer = bytes(sdo_request[1:4])
-        with self.taken():
-            return super().request_response(sdo_request)  # type: ignore[no-untyped-call]
+        answers: AnswerQueue = self.responses
+        answers.empty()
+        self.busy = True
+        try:
+            for attempt in range(self.MAX_RETRIES):
+                if attempt:
+                    logger.warning("No SDO response received")
+                self.send_request(sdo_request)
+                answer = answers.await_one(self.RESPONSE_TIMEOUT)
+                if answer is None:
+                    continue
+                if answer[0] == ABORTED:
+                    code = int.from_bytes(answer[4:8], "little")
+                    raise SdoAbortedError(code)
+                return answer
+        finally:
+            self.busy = False
+        self.abort(_TIMED_OUT)
+        raise SdoCommunicationError("No SDO response received")
 
     @contextmanager
     def taken(self) -> Iterator[None]:
@@ -197,149 +264,4 @@ class PumpedSdoClient(SdoClient):
     def abort(self, abort_code: int = 0x08000000) -> None:
         """Abort the transfer, naming its object as CiA 301 7.2.4.3.17 asks."""
         index, sub = self._multiplexer[0] | self._multiplexer[1] << 8, self._multiplexer[2]
-        self._pump.send_request(self._node_id, _ABORT.pack(_ABORTED, index, sub, abort_code))
-
-
-class PostedTransfer:
-    """A confirmed expedited transfer that goes on while the caller does other things."""
-
-    __slots__ = ("attempts", "deadline", "done_at", "failure", "frame", "index", "node_id", "sub")
-    action = ""
-    """A verb for errors."""
-
-    def __init__(self, node_id: int, index: int, sub: int, command: int, value: bytes = b"") -> None:
-        self.node_id, self.index, self.sub = node_id, index, sub
-        self.frame = _HEADER.pack(command, index, sub) + value.ljust(4, b"\0")
-        self.attempts = 0
-        self.deadline = Instant(0)
-        self.done_at: Instant | None = None
-        """When the node confirmed it, or it was given up."""
-        self.failure: PeerFault | None = None
-        """Why it was given up."""
-
-    @property
-    def object(self) -> tuple[int, int, int]:
-        """The action, and the index and sub-index of its object."""
-        return self.frame[0] >> 5, self.index, self.sub
-
-    def confirmed(self, data: bytes, at: Instant) -> bool:
-        """Take an answer that names the object; False if it does not confirm this transfer."""
-        raise NotImplementedError
-
-
-class PostedDownload(PostedTransfer):
-    """A posted write of 1 to 4 bytes."""
-
-    __slots__ = ("value",)
-    action = "write"
-
-    def __init__(self, node_id: int, index: int, sub: int, value: bytes) -> None:
-        if not 1 <= len(value) <= 4:
-            raise ValueError(f"an expedited download carries 1 to 4 bytes, not {len(value)}")
-        super().__init__(node_id, index, sub, _EXPEDITED_DOWNLOAD | (4 - len(value)) << 2, value)
-        self.value = value
-
-    def confirmed(self, data: bytes, at: Instant) -> bool:  # noqa: ARG002
-        return data[0] == _DOWNLOADED
-
-
-class PostedUpload(PostedTransfer):
-    """A posted read; ``told`` is called with the bytes and the instant of their frame.
-
-    A node that answers by segments counts as not answering.
-    """
-
-    __slots__ = ("_told",)
-    action = "read"
-
-    def __init__(self, node_id: int, index: int, sub: int, told: Callable[[bytes, Instant], None]) -> None:
-        super().__init__(node_id, index, sub, _INITIATE_UPLOAD)
-        self._told = told
-
-    def confirmed(self, data: bytes, at: Instant) -> bool:
-        if data[0] & _EXPEDITED_MASK != _EXPEDITED_UPLOAD:
-            return False
-        unused = data[0] >> 2 & 3 if data[0] & 1 else 0
-        self._told(bytes(data[4 : 8 - unused]), at)
-        return True
-
-
-class TransferPost:
-    """Posted transfers with a node, one at a time and in order (CiA 301 7.2.4: one transfer per channel)."""
-
-    ATTEMPTS = 5
-    """On a bus that loses one frame in ten, request or answer are lost 19 times in 100, five times in a row
-    once in 4000."""
-    TIMEOUT_NS = Duration(20_000_000)
-    """Wait for the confirmation of one attempt."""
-    WAITING_MAX = 64
-    """Transfers to different objects, as one to the same object replaces the other: nobody writes as many
-    without waiting, unless none is confirmed."""
-
-    def __init__(self, node_id: int, send: Callable[[bytes], Instant]) -> None:
-        """``send`` hands a request to the bus, and returns the instant."""
-        self.in_flight: PostedTransfer | None = None
-        self._node_id = node_id
-        self._send = send
-        self._waiting: deque[PostedTransfer] = deque()
-
-    def post(self, transfer: PostedTransfer) -> None:
-        """Send it when its turn comes; it replaces a waiting one to the same object.
-
-        Raises NoAnswer when 64 wait, because the node then confirms none.
-        """
-        for place, other in enumerate(self._waiting):
-            if other.object == transfer.object:
-                self._waiting[place] = transfer
-                return
-        if len(self._waiting) >= self.WAITING_MAX:
-            evidence = f"{self.WAITING_MAX} are waiting"
-            raise NoAnswer(f"node {self._node_id} confirms no SDO transfer", evidence)
-        self._waiting.append(transfer)
-        if self.in_flight is None:
-            self._next()
-
-    def answered(self, data: bytes, at: Instant) -> bool:
-        """Take the answer to the transfer in flight; False if this is the answer to something else."""
-        transfer = self.in_flight
-        if transfer is None or len(data) != 8 or data[1:4] != transfer.frame[1:4]:
-            return False
-        if data[0] == _ABORTED:
-            name = object_name(transfer.index, transfer.sub)
-            code = int.from_bytes(data[4:8], "little")
-            summary = f"node {self._node_id} refused to {transfer.action} {name}"
-            self._finish(at, TransferAborted(summary, abort_text(code), code=code))
-            return True
-        if not transfer.confirmed(data, at):
-            return False
-        self._finish(at, None)
-        return True
-
-    def expire(self, now: Instant) -> None:
-        """Send the transfer in flight again, or give it up, if its deadline has come."""
-        transfer = self.in_flight
-        if transfer is None or now < transfer.deadline:
-            return
-        if transfer.attempts < self.ATTEMPTS:
-            self._transmit(transfer)
-            return
-        name = object_name(transfer.index, transfer.sub)
-        evidence = f"{transfer.attempts} requests in {self.ATTEMPTS * self.TIMEOUT_NS / 1e6:.0f} ms"
-        summary = f"node {self._node_id} did not confirm the {transfer.action} of {name}"
-        self._finish(now, NoAnswer(summary, evidence))
-
-    def _finish(self, at: Instant, failure: PeerFault | None) -> None:
-        assert self.in_flight is not None
-        self.in_flight.done_at, self.in_flight.failure = at, failure
-        self.in_flight = None
-        self._next()
-
-    def _next(self) -> None:
-        if self._waiting:
-            self.in_flight = self._waiting.popleft()
-            self._transmit(self.in_flight)
-
-    def _transmit(self, transfer: PostedTransfer) -> None:
-        transfer.attempts += 1
-        sent_at = self._send(transfer.frame)
-        transfer.deadline = Instant(sent_at + self.TIMEOUT_NS)
+        self._pump.send_request(self._node_id, _ABORT.pack(ABORTED, index, sub, abort_code))

@@ -241,7 +241,7 @@ def test_a_standard_stream_that_is_closed_in_pytest_ends_no_test(
         ),
         (
             "output",  # what stops the drive fails at once, again and again
-            "put('canopen.sdo.client:SdoClient.upload', lambda *_, **__: {})",
+            "put('servobench.drivers.canopen.sdo:PumpedSdoClient.upload', lambda *_, **__: {})",
             "node 1 sent no data for 6041h:00",
         ),
     ],

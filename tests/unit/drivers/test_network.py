@@ -9,7 +9,7 @@ from servobench.drivers.canopen.network import CanopenNetwork
 from servobench.drivers.canopen.nmt import Emergency
 from servobench.drivers.canopen.nmt_states import NmtCommand, NmtState
 from servobench.drivers.canopen.objects import RemoteObjects
-from servobench.drivers.canopen.sdo import TransferPost
+from servobench.drivers.canopen.posted import TransferPost
 from servobench.drivers.errors import BusDown, NoAnswer, TransferAborted
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
