@@ -169,6 +169,10 @@ class PositionCommand(Command):
 class Drive:
     """The interface of a drive, simulated or real, to an axis of the loop. Override all methods."""
 
+    def has_readings(self) -> bool:
+        """Return whether :meth:`take_readings` may return any; it is asked after each frame on the bus."""
+        return True
+
     def take_readings(self) -> list[Reading]:
         """Return the complete readings since the last call, oldest first."""
         raise NotImplementedError

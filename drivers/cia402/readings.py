@@ -18,10 +18,6 @@ from servobench.drivers.vendors.stamps import STANDARD_STAMP, StampProfile
 NEVER_TOLD: Final = Instant(-1)
 _NO_TIME: Final[i64] = -(1 << 63)
 """In the place of a stamp where the frame of the speed has none."""
-_READING_BYTES: Final[i64] = 72
-_READBACK_BYTES: Final[i64] = 32
-_CHANGE_BYTES: Final[i64] = 24
-"""Of a packed row of Reception."""
 _CODES: Final = "bBhHiI"
 """Types of what a reading is made of: whole numbers of at most 32 bits."""
 
@@ -82,9 +78,9 @@ class ReadingAssembler:
         )
         self.anchor_position = self._reception.anchor_position
         """Anchor the position: 0x6064 as read at an instant, from which positions are extrapolated."""
-        self._take_readings = self._reception.take_readings
-        self._take_readbacks = self._reception.take_readbacks
-        self._take_changes = self._reception.take_changes
+        self._readings = self._reception.readings
+        self._readbacks = self._reception.readbacks
+        self._changes = self._reception.changes
         self._inlets: dict[int, Inlet] = {}
         watched = (
             Object.TORQUE_DEMAND
@@ -121,37 +117,36 @@ class ReadingAssembler:
         """Return the frames since the last call, each with its instant; none if they are not kept."""
         return self._inlets[cob_id].take_kept()
 
+    @property
+    def has_readings(self) -> bool:
+        """Whether readings were completed since the last call of :meth:`take`."""
+        return len(self._readings) > 0
+
     def take(self) -> list[Reading]:
         """Return the readings completed since the last call, oldest first."""
-        rows = self._take_readings()
         readings: list[Reading] = []
-        first: i64 = 0
-        while first < len(rows):
-            readings.append(_reading(rows, first))
-            first += _READING_BYTES
+        for row in self._readings:
+            readings.append(_reading(row))
+        self._readings.clear()
         return readings
 
     def take_readbacks(self) -> list[Readback]:
         """Return the torque demands received with a SYNC since the last call, oldest first."""
-        rows = self._take_readbacks()
         readbacks: list[Readback] = []
-        first: i64 = 0
-        while first < len(rows):
-            raw, at = read_i64_le(rows, first), read_i64_le(rows, first + 8)
-            readings, in_reading = read_i64_le(rows, first + 16), read_i64_le(rows, first + 24) != 0
+        for row in self._readbacks:
+            raw, at = read_i64_le(row, 0), read_i64_le(row, 8)
+            readings, in_reading = read_i64_le(row, 16), read_i64_le(row, 24) != 0
             readbacks.append(Readback(raw, Instant(at), readings, in_reading))
-            first += _READBACK_BYTES
+        self._readbacks.clear()
         return readbacks
 
     def take_demand_changes(self) -> list[DemandChange]:
         """Return the torque demands received on change since the last call, oldest first."""
-        rows = self._take_changes()
         changes: list[DemandChange] = []
-        first: i64 = 0
-        while first < len(rows):
-            raw, device_time_ns = read_i64_le(rows, first), read_i64_le(rows, first + 8)
-            changes.append(DemandChange(raw, device_time_ns, Instant(read_i64_le(rows, first + 16))))
-            first += _CHANGE_BYTES
+        for row in self._changes:
+            raw, device_time_ns = read_i64_le(row, 0), read_i64_le(row, 8)
+            changes.append(DemandChange(raw, device_time_ns, Instant(read_i64_le(row, 16))))
+        self._changes.clear()
         return changes
 
     @property
@@ -196,16 +191,16 @@ def _field(pdo: PdoMap, index: int) -> tuple[int, int, bool] | None:
     return first, entry.bits // 8, entry.code.islower()
 
 
-def _reading(rows: bytes, first: i64) -> Reading:
-    device_time_ns = read_i64_le(rows, first + 24)
+def _reading(row: bytes) -> Reading:
+    device_time_ns = read_i64_le(row, 24)
     return Reading(
-        read_f64_le(rows, first),
+        read_f64_le(row, 0),
         None if device_time_ns == _NO_TIME else device_time_ns,
-        Instant(read_i64_le(rows, first + 32)),
-        read_f64_le(rows, first + 8),
-        Instant(read_i64_le(rows, first + 40)),
-        read_f64_le(rows, first + 16),
-        Instant(read_i64_le(rows, first + 48)),
-        read_i64_le(rows, first + 56),
-        Instant(read_i64_le(rows, first + 64)),
+        Instant(read_i64_le(row, 32)),
+        read_f64_le(row, 8),
+        Instant(read_i64_le(row, 40)),
+        read_f64_le(row, 16),
+        Instant(read_i64_le(row, 48)),
+        read_i64_le(row, 56),
+        Instant(read_i64_le(row, 64)),
     )

@@ -233,16 +233,16 @@ class ServoDrive(Drive):
 
     # ---- the cycle ------------------------------------------------------------------------------------
 
+    def has_readings(self) -> bool:
+        return self._assembler is not None and self._assembler.has_readings
+
     def take_readings(self) -> list[Reading]:
-        """Return the readings completed since the last call, oldest first."""
         return [] if self._assembler is None else self._assembler.take()
 
     def take_readbacks(self) -> list[Readback]:
-        """Return the torque demands 0x6074 that came with SYNCs since the last call, oldest first."""
         return [] if self._assembler is None else self._assembler.take_readbacks()
 
     def take_demand_changes(self) -> list[DemandChange]:
-        """Return the torque demands sent on change since the last call, oldest first."""
         return [] if self._assembler is None else self._assembler.take_demand_changes()
 
     def write(self, command: Command) -> SentCommand | None:

@@ -275,15 +275,19 @@ class Reception:
     def anchor_position(self, raw: int, at: Instant, /) -> None:
         """Anchor the position: 0x6064 as read at ``at``, from which positions are extrapolated."""
 
-    def take_readings(self) -> bytes:
-        """Return rows of 8-octet numbers: speed, rad/s, position, rad, torque, N m, as floats; stamp, ns, or
-        -2**63, instants of the speed, the position and the torque, statusword and its instant."""
+    @property
+    def readings(self) -> list[bytes]:
+        """Those made so far, for the user to take out: each a row of 8-octet numbers. Speed, rad/s, position,
+        rad, torque, N m, as floats; stamp, ns, or -2**63, instants of the speed, the position and the torque,
+        statusword and its instant."""
 
-    def take_readbacks(self) -> bytes:
+    @property
+    def readbacks(self) -> list[bytes]:
         """The same of demands 6074h that came with a SYNC: raw, instant, readings made by then, and 1 if it
         came in the frame of the last of them."""
 
-    def take_changes(self) -> bytes:
+    @property
+    def changes(self) -> list[bytes]:
         """The same of demands sent on change: raw, stamp, ns, and instant."""
 
     def position_rad(self, raw: int | None, /) -> float:

@@ -2,31 +2,18 @@
    servobench.drivers.cia402.readings says how a position is carried on. */
 #include "reception.h"
 
-#include <assert.h>
-#include <string.h>
-
 #include "attributes.h"
 #include "statusword.h"
 #include "whole_numbers.h"
 
 enum { POSITION_BITS = 32, NS_PER_US = 1000 };
 
-static bool append(PackedRows *self, const void *row, size_t size)
+static bool append(PyObject *rows, const void *row, size_t size)
 {
-    if (self->used + size > self->room) {
-        size_t room = 2 * self->room + size;
-        char *octets = PyMem_Realloc(self->octets, room);
-        if (octets == NULL) {
-            PyErr_NoMemory();
-            return false;
-        }
-        self->octets = octets;
-        self->room = room;
-    }
-    assert(self->used + size <= self->room);
-    memcpy(self->octets + self->used, row, size);
-    self->used += size;
-    return true;
+    PyObject *octets = PyBytes_FromStringAndSize(row, (Py_ssize_t)size);
+    bool well = octets != NULL && PyList_Append(rows, octets) == 0;
+    forget(&octets);
+    return well;
 }
 
 /* The time of the last SYNC sent, us, where a drive has no stamp. */
@@ -100,14 +87,14 @@ void torque_told(Reception *self, int64_t raw, int64_t at)
 bool demand_told(ReceptionObject *self, int64_t raw, int64_t at, bool in_reading)
 {
     int64_t row[] = {raw, at, self->state.readings_made, in_reading};
-    return append(&self->readbacks, row, sizeof row);
+    return append(self->readbacks, row, sizeof row);
 }
 
 /* 6074h sent on change; `stamp_raw`: 1013h of that moment. */
 bool demand_changed(ReceptionObject *self, int64_t raw, int64_t stamp_raw, int64_t at)
 {
     int64_t row[] = {raw, times(unwrapped(&self->state, stamp_raw), self->state.count_ns), at};
-    return append(&self->changes, row, sizeof row);
+    return append(self->changes, row, sizeof row);
 }
 
 /* Pass a demand or torque to the watch. A drive that itself reports not following needs no watch. */
@@ -167,5 +154,5 @@ bool speed_told(ReceptionObject *self, int64_t raw, int64_t stamp_raw, int64_t a
     } row = {velocity_rad_s,        position, state->torque_nm,        device_time_ns,
              at,                    state->position_told_at, state->torque_told_at, self->told->statusword,
              self->told->at};
-    return append(&self->readings, &row, sizeof row);
+    return append(self->readings, &row, sizeof row);
 }

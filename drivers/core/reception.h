@@ -14,12 +14,6 @@ typedef struct LastStatuswordObject {
     int64_t bits, wanted, silence_ns; /* what is expected of it */
 } LastStatuswordObject;
 
-/* Numbers of 8 octets behind one another, until somebody takes them. */
-typedef struct PackedRows {
-    char *octets;
-    size_t used, room;
-} PackedRows;
-
 typedef struct Reception {
     double rad_s_per_raw, nm_per_raw, rad_per_count;
     int64_t period_ns, period_us, reach_us;
@@ -42,7 +36,7 @@ typedef struct Reception {
 typedef struct ReceptionObject {
     PyObject head;
     Reception state;
-    PackedRows readings, readbacks, changes;
+    PyObject *readings, *readbacks, *changes; /* lists of rows, each the octets of its numbers */
     LastStatuswordObject *told;
     FollowReportsObject *follow;
     PyObject *syncs; /* has sync_count */

@@ -128,6 +128,12 @@ static PyObject *make(PyTypeObject *type, PyObject *arguments, PyObject *names)
     reception->follow = (FollowReportsObject *)another(follow);
     reception->syncs = another(syncs);
     reception->watch = nothing();
+    PyObject **rows[] = {&reception->readings, &reception->readbacks, &reception->changes};
+    for (size_t which = 0; which < sizeof rows / sizeof *rows; which++)
+        if ((*rows[which] = PyList_New(0)) == NULL) {
+            Py_DecRef(self);
+            return NULL;
+        }
     return self;
 }
 
@@ -135,7 +141,8 @@ static PyObject *make(PyTypeObject *type, PyObject *arguments, PyObject *names)
 static int visit_reception(PyObject *self, visitproc visit, void *argument)
 {
     ReceptionObject *reception = reception_of(self);
-    PyObject *held[] = {(PyObject *)self->type, (PyObject *)reception->follow, reception->syncs};
+    PyObject *held[] = {(PyObject *)self->type, (PyObject *)reception->follow, reception->syncs,
+                        reception->readings,    reception->readbacks,          reception->changes};
     int result = 0;
     for (size_t which = 0; result == 0 && which < sizeof held / sizeof *held; which++)
         result = visit_one(held[which], visit, argument);
@@ -146,39 +153,12 @@ static void discard(PyObject *self)
 {
     PyObject_GC_UnTrack(self);
     ReceptionObject *reception = reception_of(self);
-    PyObject *held[] = {(PyObject *)reception->told, (PyObject *)reception->follow, reception->syncs, reception->watch};
+    PyObject *held[] = {(PyObject *)reception->told, (PyObject *)reception->follow, reception->syncs,
+                        reception->watch,            reception->readings,           reception->readbacks,
+                        reception->changes};
     for (size_t which = 0; which < sizeof held / sizeof *held; which++)
         forget(&held[which]);
-    PyMem_Free(reception->readings.octets);
-    PyMem_Free(reception->readbacks.octets);
-    PyMem_Free(reception->changes.octets);
     end_object(self);
-}
-
-static PyObject *taken(PackedRows *rows)
-{
-    PyObject *octets = PyBytes_FromStringAndSize(rows->octets, (Py_ssize_t)rows->used);
-    if (octets != NULL)
-        rows->used = 0;
-    return octets;
-}
-
-static PyObject *call_take_readings(PyObject *self, PyObject *none)
-{
-    (void)none;
-    return taken(&reception_of(self)->readings);
-}
-
-static PyObject *call_take_readbacks(PyObject *self, PyObject *none)
-{
-    (void)none;
-    return taken(&reception_of(self)->readbacks);
-}
-
-static PyObject *call_take_changes(PyObject *self, PyObject *none)
-{
-    (void)none;
-    return taken(&reception_of(self)->changes);
 }
 
 static PyObject *call_anchor(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
@@ -225,9 +205,6 @@ static int set_watch(PyObject *self, PyObject *watch, void *none)
 }
 
 static PyMethodDef methods[] = {
-    {"take_readings", call_take_readings, METH_NOARGS, NULL},
-    {"take_readbacks", call_take_readbacks, METH_NOARGS, NULL},
-    {"take_changes", call_take_changes, METH_NOARGS, NULL},
     {"anchor_position", (PyCFunction)(void (*)(void))call_anchor, METH_FASTCALL, NULL},
     {"position_rad", call_position_rad, METH_O, NULL},
     {"tell_watch", (PyCFunction)(void (*)(void))call_tell_watch, METH_FASTCALL, NULL},
@@ -235,6 +212,9 @@ static PyMethodDef methods[] = {
 };
 
 static PyMemberDef members[] = {
+    {"readings", T_OBJECT, offsetof(ReceptionObject, readings), READONLY, NULL},
+    {"readbacks", T_OBJECT, offsetof(ReceptionObject, readbacks), READONLY, NULL},
+    {"changes", T_OBJECT, offsetof(ReceptionObject, changes), READONLY, NULL},
     {"malformed", T_LONGLONG, offsetof(ReceptionObject, state.malformed), READONLY, NULL},
     {"readings_made", T_LONGLONG, offsetof(ReceptionObject, state.readings_made), READONLY, NULL},
     {"torque_nm", T_DOUBLE, offsetof(ReceptionObject, state.torque_nm), READONLY, NULL},

@@ -191,9 +191,10 @@ class Axis:
     def collect(self, before: Instant = NEVER) -> None:
         """Take in what had arrived ``before``, but for readings whose SYNC's echo may be on its way yet, and
         for those that may answer a SYNC whose cycle is to begin."""
-        kept, syncs, arrived = self._kept, self.parts.syncs, self._drive.take_readings()
-        for reading in arrived:  # by ones: a slice takes ten times as long
-            kept.append(reading)
+        kept, syncs = self._kept, self.parts.syncs
+        if self._drive.has_readings():
+            for reading in self._drive.take_readings():  # by ones: a slice takes ten times as long
+                kept.append(reading)
         if not kept:
             return
         before = min(before, syncs.end_of_first_after(self._begun))

@@ -90,7 +90,7 @@ def _used(draw: random.Random) -> "weakref.ref[_Syncs]":
             partial(draw.choice(inlets), draw.randbytes(8), at),
             draw.choice(inlets).keep,
             draw.choice(inlets).take_kept,
-            draw.choice([reception.take_readings, reception.take_readbacks, reception.take_changes]),
+            draw.choice([reception.readings, reception.readbacks, reception.changes]).clear,
             partial(reception.anchor_position, raw, at),
             partial(reception.position_rad, draw.choice([None, raw])),
             partial(reception.tell_watch, watch, odd),
