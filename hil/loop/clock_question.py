@@ -162,8 +162,7 @@ class ClockQuestion:
         self.answered = max(self.answered, mark.number)
         if len(self.stamps) > STAMPS_MAX:
             oldest = self._syncs.marks[0].number
-            for number in [number for number in self.stamps if number < oldest]:
-                del self.stamps[number]
+            self.stamps = {number: stamp for number, stamp in self.stamps.items() if number >= oldest}
 
     def rivals(self, mark: SyncMark, at: Instant) -> list[SyncMark]:
         """The SYNCs beside the nearest, ``mark``, whose reading a stamp at ``at`` may be of too: it lies on

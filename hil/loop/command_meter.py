@@ -92,10 +92,10 @@ class CommandMeter:
         followed = self._followed
         followed.append(FollowedCommand(command, self._shows, self._late_most, self._syncs.heard_ns))
         if len(followed) - self._past > self._window:
-            leaving = followed[self._past]
+            leaving, told = followed[self._past], self._last_told
             if leaving.possible:
                 self._before_raw = leaving.raw
-            elif not (leaving.sent.unsent or leaving.was_there(self._settled_by(*self._last_told))):
+            elif not (leaving.sent.unsent or leaving.was_there(self._settled_by(told[0], told[1]))):
                 self._before_raw = None  # no telling has shown yet whether it is followed
             self._past += 1
         while self._past and (self._asked or len(followed) > FOLLOWED_MAX):

@@ -195,17 +195,14 @@ class ReadbackTie:
         if self._last and self._spacing:
             # One that is missing may have been overtaken by its reading alone.
             first = max(min(number, self._last + self._spacing), max(1, number - READINGS_REMEMBERED))
-        places: list[int] = []
+        found: list[tuple[int, int]] = []
+        step = 1 if first == number else 0  # one that was overtaken may be any of them
         for place, readback in enumerate(slot):
             last = self._newest_before(readback)
             if after is not None:
                 soon = readback.received_at - before.received_at <= self._period // 2
                 limit = after.mark.number - 1 if self._behind and soon else after.mark.number
                 last = min(last, limit - (len(slot) - 1 - place))
-            places.append(last)
-        found: list[tuple[int, int]] = []
-        step = 1 if first == number else 0  # one that was overtaken may be any of them
-        for last in places:
             first = self._on_bus_from(first, last)
             if last < first or last < number:
                 return None

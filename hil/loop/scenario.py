@@ -220,6 +220,8 @@ class ReferenceProfile:
         if number == 0:
             return self._origin
         segment = self._segments[number - 1]
+        if isinstance(segment, LevelStep):  # the usual one, without a call by name
+            return self._origin + segment.level
         return self._origin + segment.value(time_s - self._from_s, self._start_levels[number - 1])
 
     def rate(self, time_s: float) -> float:

@@ -161,7 +161,7 @@ class StampAttribution:
         elif not self._echoes_late or lateness > match_ns:
             # Nothing but the delay excludes that the SYNC was later to the drive than its stamp tells.
             hidden = self._case.hidden_ns(reading.received_at - sampled_at)
-            late = max(lateness, hidden, 0 if residuals.spread else match_ns)
+            late = max(max(lateness, hidden), 0 if residuals.spread else match_ns)
             error_ns = late + match_ns + residuals.slack
         if error_ns > self._half:
             error_ns = self._case.bounded(error_ns, sampled_at - on_bus_at, reading.received_at - on_bus_at)

@@ -90,8 +90,7 @@ class SyncLog:
         """``latency``: from handing a SYNC over until its end on an idle bus."""
         self.marks: list[SyncMark] = []
         """In the order of handing over; the last :data:`REMEMBERED`."""
-        self.echoes = echoes
-        self.basis = echoes
+        self.echoes = self.basis = echoes
         """Basis of the instants of SYNCs on the bus: their echoes, or NONE, the hand-over, see
         :meth:`rest_on_hand_over`."""
         self.error_ns = ECHO_ERROR[echoes]
@@ -340,9 +339,13 @@ class SyncLog:
 
     def beside(self, mark: SyncMark) -> list[SyncMark]:
         """The SYNCs before and after ``mark``, as far as it is known when they were on the bus."""
-        place = mark.number - self.marks[0].number
-        beside = self.marks[place + 1 : place + 2] + self.marks[max(0, place - 1) : max(0, place)]
-        return [other for other in beside if other.on_bus_at is not None]
+        beside: list[SyncMark] = []
+        place, last = mark.number - self.marks[0].number, len(self.marks) - 1
+        if place < last and self.marks[place + 1].on_bus_at is not None:
+            beside.append(self.marks[place + 1])
+        if place > 0 and self.marks[place - 1].on_bus_at is not None:
+            beside.append(self.marks[place - 1])
+        return beside
 
     def end_before(self, mark: SyncMark) -> Instant | None:
         """The end of the last SYNC on the bus before that of ``mark``; None if it is not remembered."""
@@ -371,10 +374,9 @@ class SyncLog:
         self.counted += 1
         mark = SyncMark(self.counted, sequence, at)
         mark.place += self.missing
-        marks = self.marks
-        marks.append(mark)
-        if len(marks) > REMEMBERED:
-            marks.pop(0)
+        self.marks.append(mark)
+        if len(self.marks) > REMEMBERED:
+            self.marks.pop(0)
         return mark
 
     def _put_on_bus(self, mark: SyncMark, at: Instant) -> None:
