@@ -182,18 +182,20 @@ class ClockQuestion:
         assert mark.on_bus_at is not None
         return mark.on_bus_at - before.on_bus_at < self._half
 
-    def excludes_steps(self, mark: SyncMark, delay: int, suspects: list[Suspect]) -> bool:
-        """Return whether a ``delay`` from the SYNC of ``mark`` would be unusual from those beside it, as a
-        clock set by whole periods would have it; not if those of many suspects are longer, too. The stamp
-        tells a SYNC apart whose distance is no period."""
+    def excludes_steps(self, mark: SyncMark, delay: int, at: Instant, suspects: list[Suspect]) -> bool:
+        """Return whether a reading that came ``at``, a ``delay`` after the SYNC of ``mark``, is unusual for
+        those beside it, as after a step by whole periods; not if those of many suspects are longer, too."""
+        if mark.number <= self.since or any(suspect.early for suspect in suspects):
+            return False  # early: before its SYNC, which no network can do
+        period, low, slack, since = 2 * self._half, self.delays.low, self.delays.slack(), delay
         gaps = [(other.on_bus_at or 0) - (mark.on_bus_at or 0) for other in self._syncs.beside(mark)]
-        gaps = [gap for gap in gaps if abs(abs(gap) - 2 * self._half) <= self._half // 4]
-        before = min([2 * self._half, *(-gap for gap in gaps if gap < 0)])
-        behind = min([2 * self._half, *(gap for gap in gaps if gap > 0)])
-        low, high, slack = self.delays.low, self.delays.high, self.delays.slack()
-        if any(suspect.early for suspect in suspects):
-            return False  # it came before its SYNC, which no network can do
-        if not high - before + slack < delay < max(behind, low + behind - slack):
+        least, most = max(0, low - slack), self.delays.high + slack
+        if self._echoes_late:  # each is off the map by up to half of what residuals reach over
+            off = self._stamps.residuals.reach // 2
+            since, least, most = at - (mark.on_bus_at or 0), low - slack - off, most + off
+        else:  # the stamp tells a SYNC apart whose distance is no period
+            gaps = [gap for gap in gaps if abs(abs(gap) - period) <= self._half // 4]
+        if any(least <= since - gap <= most for gap in (period, -period, *gaps)):
             return False
         delays = [each.received_at - self._stamps.clock.place(each.device_ns) for each in suspects]
         return len(delays) < AGREEING_ALONE or min(delay, *delays) < low + self._half
@@ -203,10 +205,8 @@ class ClockQuestion:
         return [
             mark
             for mark in self._syncs.marks
-            if mark.on_bus_at is not None
-            and mark.on_bus_at <= latest
-            and mark.number not in self.stamps
-            and mark.sequence != SURPLUS
+            if mark.on_bus_at is not None and mark.on_bus_at <= latest
+            if mark.number not in self.stamps and mark.sequence != SURPLUS
         ]
 
     def note_residuals(self, suspects: list[Suspect]) -> None:

@@ -127,7 +127,7 @@ class StampAttribution:
             return self._uncertain(reading, mark)
         free = fits and known is None
         sampled_at = at - self._residuals.middle if self._echoes_late else mark.on_bus_at
-        if free and not self.doubt.surprised and self._usual(mark, reading.received_at - sampled_at):
+        if free and not self.doubt.surprised and self._usual(mark, reading.received_at - sampled_at, reading):
             if self._suspects:
                 self._exonerate_free()
                 self._acquit()
@@ -135,7 +135,7 @@ class StampAttribution:
             return self._matched(reading, device_ns, mark, residual)
         return self._suspect(reading, device_ns, mark if free else None, at, known)
 
-    def _usual(self, mark: SyncMark, delay: int) -> bool:
+    def _usual(self, mark: SyncMark, delay: int, reading: Reading) -> bool:
         """True if a reading on a free SYNC raises no question, and answers the one that may be open."""
         if delay < self._transit and self.spread and delay < self._transit - self.stamps.near_ns:
             return False
@@ -144,7 +144,7 @@ class StampAttribution:
             return False
         if not self._suspects:
             return not delays.stay_longer(delay, self._half)
-        return mark.number > self._case.since and self._case.excludes_steps(mark, delay, self._suspects)
+        return self._case.excludes_steps(mark, delay, reading.received_at, self._suspects)
 
     def _matched(self, reading: Reading, device_ns: int, mark: SyncMark, residual: int) -> Sample | None:
         health, residuals, match_ns = self.health, self._residuals, self.stamps.match_ns

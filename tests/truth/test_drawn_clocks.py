@@ -63,3 +63,9 @@ def test_a_stamped_change_may_be_of_a_command_that_has_left(seed: int, cycles: i
 def test_a_sync_that_jitters_is_no_tick() -> None:
     """Up to 315 us late at the drive: taken for a tick of as much, it left a third of the rows in doubt."""
     assert verdict_of(450085, 120).readings.uncertain <= 5
+
+
+def test_a_step_hides_in_what_echoes_are_late() -> None:
+    """By -1499 us, SYNCs 2 ms apart and echoes up to 596 us late: stamps lay on the SYNCs before their own,
+    whose delays were unusual for a step by whole periods; 399 rows were of other SYNCs."""
+    assert verdict_of(460054, 280).readings.uncertain <= 60
