@@ -9,6 +9,9 @@ from mypy_extensions import mypyc_attr
 from servobench.drivers.record import Record
 from servobench.drivers.timebase import Instant
 
+NEVER_TOLD: Final = Instant(-1)
+"""In the place of the stamp of a frame that has not come yet."""
+
 
 @mypyc_attr(acyclic=True, free_list_len=1)
 class Reading(Record):

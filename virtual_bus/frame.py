@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from typing import Protocol
 
+from servobench.drivers.core.native import WireFrame as Frame
 from servobench.drivers.timebase import Instant
-from servobench.drivers.wire.frame_port import WireFrame as Frame
 
 __all__ = ["Device", "Frame"]
 """The frame is one class on both sides of the wire, and no alias of it: compiled, an alias is called as any

@@ -9,8 +9,7 @@ node guarding   for a node that lacks one of the two: the host asks for its NMT 
 from typing import Final, NamedTuple
 
 from servobench.drivers.canopen.objects import RemoteObjects, SettingRefused
-from servobench.drivers.canopen.objects301 import Cia301
-from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.canopen.objects301 import Cia301, object_name
 from servobench.drivers.errors import TransferAborted
 from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 

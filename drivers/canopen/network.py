@@ -17,6 +17,7 @@ from servobench.drivers.canopen.frame_pump import FramePump, Handler
 from servobench.drivers.canopen.life_signs import LifeSigns
 from servobench.drivers.canopen.nmt import EMERGENCIES_KEPT, Emergency, NodeStatus, parse_emergency
 from servobench.drivers.canopen.nmt_states import NODE_ID_MAX, NmtCommand, NmtState
+from servobench.drivers.canopen.objects301 import object_name
 from servobench.drivers.canopen.polls import ObjectPoll, ObjectPolls, Polled
 from servobench.drivers.canopen.posted import PostedDownload, PostedUpload, TransferPost
 from servobench.drivers.canopen.sdo import (
@@ -25,7 +26,6 @@ from servobench.drivers.canopen.sdo import (
     BrokenOff,
     PumpedSdoClient,
     abort_text,
-    object_name,
     written_object,
 )
 from servobench.drivers.canopen.write_list import NOTHING, WriteGate, WriteList

@@ -9,7 +9,7 @@ from struct import error as struct_error
 from typing import Final, NamedTuple
 
 from servobench.drivers.canopen.network import CanopenNetwork
-from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.canopen.objects301 import object_name
 from servobench.drivers.errors import PeerFault, TransferAborted
 from servobench.drivers.printable import printable
 

@@ -76,3 +76,8 @@ def is_mapping(index: int) -> bool:
 def is_communication(index: int) -> bool:
     """Return True for a PDO communication parameter."""
     return index in PDO_PARAMETERS and not index & MAPPING_OFFSET
+
+
+def object_name(index: int, sub: int) -> str:
+    """``6040h:00``."""
+    return f"{index:04X}h:{sub:02X}"

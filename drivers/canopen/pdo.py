@@ -18,8 +18,8 @@ from servobench.drivers.canopen.objects301 import (
     RPDO_COMMUNICATION,
     TPDO_COMMUNICATION,
     mapping_word,
+    object_name,
 )
-from servobench.drivers.canopen.sdo import object_name
 from servobench.drivers.errors import TransferAborted
 from servobench.drivers.timebase import NS_PER_MS, Duration
 

@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 
 from servobench.drivers.canopen.cob_ids import CAN_ID, NOT_VALID
 from servobench.drivers.canopen.objects import RemoteObjects
-from servobench.drivers.canopen.objects301 import PDO_ENTRIES_MAX, mapping_word
+from servobench.drivers.canopen.objects301 import PDO_ENTRIES_MAX, mapping_word, object_name
 from servobench.drivers.canopen.pdo import Key, PdoDirection, PdoEntry, key_of
-from servobench.drivers.canopen.sdo import object_name
 
 
 @dataclass(frozen=True, slots=True)

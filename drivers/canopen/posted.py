@@ -3,13 +3,13 @@
 from collections import deque
 from collections.abc import Callable
 
+from servobench.drivers.canopen.objects301 import object_name
 from servobench.drivers.canopen.sdo import (
     ABORTED,
     EXPEDITED_BYTES,
     abort_text,
     expedited_download,
     initiate_upload,
-    object_name,
     uploaded,
 )
 from servobench.drivers.errors import NoAnswer, PeerFault, TransferAborted

@@ -99,11 +99,6 @@ def uploaded(answer: bytes) -> bytes:
     return answer[4 : 8 - unused]
 
 
-def object_name(index: int, sub: int) -> str:
-    """``6040h:00``."""
-    return f"{index:04X}h:{sub:02X}"
-
-
 def abort_text(code: int) -> str:
     """Return an abort code with the standard's text, CiA 301 table 22."""
     return f"abort code {code:08X}h ({SdoAbortedError.CODES.get(code, 'not in the standard')})"

@@ -10,8 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from servobench.drivers.canopen.objects301 import MANUFACTURER
-from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.canopen.objects301 import MANUFACTURER, object_name
 from servobench.drivers.errors import BadInput
 
 

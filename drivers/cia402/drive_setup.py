@@ -9,10 +9,9 @@ from typing import NamedTuple
 
 from servobench.drivers.canopen.error_control import WatchTimes
 from servobench.drivers.canopen.objects import RemoteObjects, SettingRefused, write_greatest
-from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.canopen.objects301 import Cia301, object_name
 from servobench.drivers.canopen.pdo import PdoPlan
 from servobench.drivers.canopen.pdo_capability import PdoCapability
-from servobench.drivers.canopen.sdo import object_name
 from servobench.drivers.canopen.write_list import Product
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.observed import NOTHING, Observed

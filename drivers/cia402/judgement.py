@@ -14,10 +14,9 @@ from typing import Final
 
 from servobench.drivers.canopen.error_control import watch_lack
 from servobench.drivers.canopen.objects import RemoteObjects
-from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.canopen.objects301 import Cia301, object_name
 from servobench.drivers.canopen.pdo import Key
 from servobench.drivers.canopen.pdo_capability import PdoCapability
-from servobench.drivers.canopen.sdo import object_name
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.pdo_planner import PlanImpossible, PlanResult, plan_pdos
 from servobench.drivers.cia402.pdo_plans import NEEDED_OBJECTS, STAMP, STANDARD, PlanWish

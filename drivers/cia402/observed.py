@@ -5,8 +5,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from servobench.drivers.canopen.objects import RemoteObjects, SettingRefused
+from servobench.drivers.canopen.objects301 import object_name
 from servobench.drivers.canopen.pdo import BITS_MAX, PdoDirection, PdoEntry, PdoMap, PdoPlan, write_plan
-from servobench.drivers.canopen.sdo import object_name
 from servobench.drivers.errors import PeerFault, TransferAborted
 
 NUMBERS = range(1, 5)

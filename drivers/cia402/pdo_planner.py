@@ -13,6 +13,7 @@ set-point of a mode. PDOs that fit no layout carry all of it with every SYNC.
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from servobench.drivers.canopen.objects301 import object_name
 from servobench.drivers.canopen.pdo import (
     BITS_MAX,
     EVENT_DRIVEN,
@@ -26,7 +27,6 @@ from servobench.drivers.canopen.pdo import (
     key_of,
 )
 from servobench.drivers.canopen.pdo_capability import MappedObject, PdoCapability, PdoSlot
-from servobench.drivers.canopen.sdo import object_name
 from servobench.drivers.cia402.pdo_plans import (
     CONTROL,
     CURRENT,

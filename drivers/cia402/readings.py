@@ -15,7 +15,6 @@ from servobench.drivers.exchange import DemandChange, Readback, Reading
 from servobench.drivers.timebase import Duration, Instant
 from servobench.drivers.vendors.stamps import STANDARD_STAMP, StampProfile
 
-NEVER_TOLD: Final = Instant(-1)
 _NO_TIME: Final[i64] = -(1 << 63)
 """In the place of a stamp where the frame of the speed has none."""
 _CODES: Final = "bBhHiI"

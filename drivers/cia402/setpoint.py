@@ -3,8 +3,8 @@
 from typing import Final
 
 from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.objects301 import object_name
 from servobench.drivers.canopen.pdo import Key, PdoPlan
-from servobench.drivers.canopen.sdo import object_name
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode
 from servobench.drivers.cia402.scaling import Scaling

@@ -7,9 +7,8 @@ from typing import Final
 from servobench.drivers.canopen.error_codes import fault_text, register_text
 from servobench.drivers.canopen.nmt import Emergency, condensed
 from servobench.drivers.canopen.objects import RemoteObjects, SettingRefused
-from servobench.drivers.canopen.objects301 import FIRST_OBJECT, Cia301
+from servobench.drivers.canopen.objects301 import FIRST_OBJECT, Cia301, object_name
 from servobench.drivers.canopen.pdo import PdoPlan
-from servobench.drivers.canopen.sdo import object_name
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.pdo_plans import TARGETS
 from servobench.drivers.cia402.profile import (
@@ -20,10 +19,10 @@ from servobench.drivers.cia402.profile import (
     command_path,
     state_of,
 )
-from servobench.drivers.cia402.readings import NEVER_TOLD
 from servobench.drivers.cia402.setpoint import SetPointFrames
 from servobench.drivers.core.native import LastStatusword
 from servobench.drivers.errors import DriveInFault, PeerFault, TransferAborted
+from servobench.drivers.exchange import NEVER_TOLD
 from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 
 NONE_SENT = -1

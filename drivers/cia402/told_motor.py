@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from servobench.drivers.canopen.objects import RemoteObjects
-from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.canopen.objects301 import object_name
 from servobench.drivers.errors import TransferAborted
 from servobench.drivers.vendors.families import motor_objects_for
 from servobench.drivers.vendors.motor_objects import QUANTITIES, MotorObject, MotorObjects, NotTold

@@ -6,13 +6,15 @@ class are called directly, in a twentieth of the time.
 
 from collections.abc import Callable
 from enum import Enum
-from typing import Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
-from can.typechecking import CanFilters
 from mypy_extensions import mypyc_attr
 
 from servobench.drivers.core.native import WireFrame as WireFrame
 from servobench.drivers.timebase import Instant
+
+if TYPE_CHECKING:  # python-can takes 40 ms to load
+    from can.typechecking import CanFilters
 
 Direction = Literal["tx", "rx"]
 Tap = Callable[[Direction, int, bytes, bool, bool, Instant], None]
@@ -23,7 +25,7 @@ UNTOLD: Final = Instant(-1)
 """The instant of a hand-over is unknown."""
 
 
-def accepts(filters: CanFilters, frame: WireFrame) -> bool:
+def accepts(filters: "CanFilters", frame: WireFrame) -> bool:
     """Return True if at least one filter matches: equal under its mask, and of its format if it names one."""
     for one in filters:
         if "extended" in one and one["extended"] != frame.extended:

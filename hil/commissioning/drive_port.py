@@ -14,10 +14,10 @@ from typing import Final
 from servobench.drivers.canopen.pdo import EVERY_SYNC
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode
-from servobench.drivers.cia402.readings import NEVER_TOLD
 from servobench.drivers.cia402.servo import ServoDrive
 from servobench.drivers.errors import PeerFault
 from servobench.drivers.exchange import (
+    NEVER_TOLD,
     Command,
     DemandChange,
     Drive,

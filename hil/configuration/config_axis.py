@@ -10,8 +10,8 @@ from typing import Annotated, Any, Final, Literal, NamedTuple
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator
 
 from servobench.drivers.canopen.data_types import STRUCT_CODES, DataType
+from servobench.drivers.canopen.objects301 import object_name
 from servobench.drivers.canopen.pdo import SYNCHRONOUS_MAX, PdoEntry
-from servobench.drivers.canopen.sdo import object_name
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.observed import NUMBERS, Observed
 from servobench.drivers.rotation import RAD_S_PER_RPM

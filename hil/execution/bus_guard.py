@@ -22,8 +22,7 @@ from servobench.drivers.canopen.frame_pump import Handler, one_after_another
 from servobench.drivers.canopen.network import CanopenNetwork
 from servobench.drivers.canopen.nmt import Emergency, parse_emergency
 from servobench.drivers.canopen.nmt_states import NODE_ID_MAX
-from servobench.drivers.canopen.objects301 import Cia301
-from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.canopen.objects301 import Cia301, object_name
 from servobench.drivers.cia402.servo import ServoDrive
 from servobench.drivers.errors import PeerFault
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant

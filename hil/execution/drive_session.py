@@ -16,7 +16,7 @@ from typing import Final
 
 from servobench.drivers.canopen.network import CanopenNetwork
 from servobench.drivers.canopen.objects import SettingRefused
-from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.canopen.objects301 import object_name
 from servobench.drivers.cia402.drive_setup import DriveSettings, Identity
 from servobench.drivers.cia402.judgement import refusal
 from servobench.drivers.cia402.profile import BENCH_MODES, QuickStopOption

@@ -16,8 +16,7 @@ from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVari
 
 from servobench.drivers.canopen.data_types import REAL_BITS, SIGNED_BITS, TIME_BITS, UNSIGNED_BITS, DataType
 from servobench.drivers.canopen.network import CanopenNetwork
-from servobench.drivers.canopen.objects301 import Cia301
-from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.canopen.objects301 import Cia301, object_name
 from servobench.drivers.cia402.drive_setup import Identity
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.servo import ServoDrive

@@ -13,8 +13,7 @@ from typing import Final, NamedTuple
 from librt.strings import BytesWriter, write_f64_le, write_i64_le
 from mypy_extensions import mypyc_attr
 
-from servobench.drivers.cia402.readings import NEVER_TOLD
-from servobench.drivers.exchange import Command, PositionCommand, SpeedCommand
+from servobench.drivers.exchange import NEVER_TOLD, Command, PositionCommand, SpeedCommand
 from servobench.drivers.record import Record
 from servobench.drivers.timebase import Duration, Instant
 from servobench.hil.loop.context import CHANNELS_MAX

@@ -22,7 +22,7 @@ from typing import Final
 
 from servobench.drivers.canopen.network import CanopenNetwork
 from servobench.drivers.canopen.objects import RemoteObjects
-from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.canopen.objects301 import object_name
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration
 from servobench.drivers.vendors.stamps import BITS
 

@@ -11,9 +11,8 @@ import subprocess
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from servobench.drivers.canopen.network import CanopenNetwork
 from servobench.drivers.errors import BenchError
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
 from servobench.hil.machine.progress import Progress
@@ -25,6 +24,9 @@ from servobench.hil.verdict.summary import Summary
 from servobench.hil.verdict.verdict import RunOutcome
 from servobench.virtual_bus.child_python import python_command, python_environment
 from servobench.virtual_bus.timeline import SimulatedClock
+
+if TYPE_CHECKING:  # the logger speaks no CANopen, and starts without it
+    from servobench.drivers.canopen.network import CanopenNetwork
 
 READY: Final = "ready"
 """The logger drains the rings."""
@@ -258,7 +260,7 @@ class RecordingWatch:
         self._say = say
         self._phase = "running"
 
-    def confirm(self, network: CanopenNetwork) -> None:
+    def confirm(self, network: "CanopenNetwork") -> None:
         """All so far is in the files, or nothing may move. Raises RecordingFailed.
 
         The bus is served meanwhile, but simulated time stands still, paced or not: no run depends on

@@ -19,9 +19,8 @@ from typing import Any, Final, NamedTuple
 from servobench.drivers.bounded_file import NamedBy, parse_json, read_lines
 from servobench.drivers.canopen.bus_scan import NODES
 from servobench.drivers.canopen.network import CanopenNetwork
-from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.canopen.objects301 import Cia301, object_name
 from servobench.drivers.canopen.posted import PostedDownload
-from servobench.drivers.canopen.sdo import object_name
 from servobench.drivers.canopen.write_list import WriteList
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.errors import MISSING, BadInput, TransferAborted

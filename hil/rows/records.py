@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servobench.drivers.cia402.profile import STATE_BITS, state_of
-from servobench.drivers.cia402.readings import NEVER_TOLD
+from servobench.drivers.exchange import NEVER_TOLD
 from servobench.hil.loop.cycle_record import COLUMNS, FATE_MISSED, FATE_SAMPLE, NAMES
 
 DIGESTED: Final = tuple(

@@ -40,7 +40,7 @@ def save(
     Examples:
       hil params save drive.dcf --bus hub:lab --node 1 --eds drive.eds
     """
-    from servobench.drivers.canopen.sdo import object_name
+    from servobench.drivers.canopen.objects301 import object_name
     from servobench.drivers.canopen.write_list import NOTHING
     from servobench.drivers.written_file import written
     from servobench.hil.execution.world import drive_network
@@ -114,7 +114,7 @@ def _note(text: str) -> None:
 
 
 def _figures(each: "ParameterDifference") -> dict[str, Any]:
-    from servobench.drivers.canopen.sdo import object_name
+    from servobench.drivers.canopen.objects301 import object_name
 
     figures = {"object": object_name(*each.place), "name": each.name}
     return figures | {"first": each.first or None, "second": each.second or None}
@@ -129,7 +129,7 @@ def _print_saved(count: int, refused: dict[str, str]) -> None:
 def _print_differences(
     mine: "ParameterSet", theirs: "ParameterSet", found: "list[ParameterDifference]"
 ) -> None:
-    from servobench.drivers.canopen.sdo import object_name
+    from servobench.drivers.canopen.objects301 import object_name
 
     count = len(mine.values.keys() | theirs.values.keys())
     typer.echo(f"{len(found)} of {count} parameters differ: {mine.source}, {theirs.source}")

@@ -8,8 +8,7 @@ from typing import Any
 
 from servobench.drivers.canopen.error_codes import error_text
 from servobench.drivers.canopen.network import CanopenNetwork
-from servobench.drivers.canopen.objects301 import MANUFACTURER
-from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.canopen.objects301 import MANUFACTURER, object_name
 from servobench.drivers.canopen.write_list import ListedWrite, WriteList
 from servobench.drivers.cia402.drive_setup import DriveSettings
 from servobench.drivers.cia402.profile import State

@@ -23,8 +23,8 @@ from servobench.drivers.canopen.error_codes import fault_text
 from servobench.drivers.canopen.lss import SCAN_RESET
 from servobench.drivers.canopen.nmt import parse_emergency
 from servobench.drivers.canopen.nmt_states import UNCONFIGURED, NmtCommand, NmtState
-from servobench.drivers.canopen.objects301 import PDO_PARAMETERS, Cia301
-from servobench.drivers.canopen.sdo import abort_text, object_name
+from servobench.drivers.canopen.objects301 import PDO_PARAMETERS, Cia301, object_name
+from servobench.drivers.canopen.sdo import abort_text
 from servobench.drivers.timebase import Instant
 from servobench.drivers.wire.error_frames import error_frame_text
 from servobench.hil.reviewing.trace.frame_columns import EVER_NS

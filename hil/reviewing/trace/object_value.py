@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from servobench.drivers.canopen.data_types import REAL_BITS, SIGNED_BITS, UNSIGNED_BITS, DataType
-from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.canopen.objects301 import object_name
 from servobench.drivers.printable import printable
 from servobench.drivers.sheets.eds.types import BYTE_TYPES, TEXT_TYPES
 

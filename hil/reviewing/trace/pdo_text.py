@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.canopen.objects301 import object_name
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US
 from servobench.hil.reviewing.trace.node_objects import NodeObjects
 from servobench.hil.reviewing.trace.object_value import ObjectValue

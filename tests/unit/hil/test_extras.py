@@ -189,3 +189,10 @@ def test_a_run_that_writes_no_files_loads_neither_arrow_nor_an_extra() -> None:
         "--no-record",
     ]
     assert subprocess.run(command, capture_output=True, text=True).stderr.splitlines()[-1] == "[]"
+
+
+def test_the_logger_of_a_run_loads_neither_canopen_nor_python_can() -> None:
+    program = (
+        "import sys, servobench.hil.recording.logger; print(sorted({'can', 'canopen'} & set(sys.modules)))"
+    )
+    assert subprocess.check_output([sys.executable, "-c", program], text=True) == "[]\n"

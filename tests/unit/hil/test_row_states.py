@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from servobench.drivers.cia402.readings import NEVER_TOLD
+from servobench.drivers.exchange import NEVER_TOLD
 from servobench.hil.loop.cycle_record import FATE_MISSED
 from servobench.hil.rows.records import (
     LINK_DOWN_CYCLES,
