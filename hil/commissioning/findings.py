@@ -14,6 +14,7 @@ from servobench.drivers.errors import PeerFault
 from servobench.drivers.timebase import NS_PER_MS, Duration
 from servobench.hil.commissioning.identify import Mechanics, SpeedRatio
 from servobench.hil.commissioning.request import MotionLimits
+from servobench.hil.commissioning.resonance import Resonance
 from servobench.hil.configuration.network_file import Network
 from servobench.hil.restoring.journal import ObjectKey
 
@@ -173,6 +174,8 @@ class Findings:
     quick_stop_rad_s2: float | None = None
     """The 6085h found necessary; None: the drive's own."""
     quick_stop_option: QuickStopOption = QuickStopOption.QUICK_STOP_RAMP
+    resonance: Resonance | None = None
+    """Of a coupled load, if the frequency response shows one."""
     network: Network | None = None
     reading_delay_us: float | None = None
     effect_delay_us: float | None = None

@@ -20,6 +20,8 @@ from servobench.hil.commissioning.identify import Array
 
 DRIVEN_TURNS: Final = 0.01
 """From rest; a shaft that is only twisted by its coupling, or takes up its play, turns less."""
+_DRIVEN_S: Final = 0.04
+"""From rest to the fastest; a rotor that its load swings by a coupling is there in a quarter of a period."""
 _QUIET_SHARE: Final = 0.02
 """Of the rated torque: less is the noise of 6077h."""
 _NEAREST: Final = 0.003
@@ -53,7 +55,7 @@ def refuse_outside(time: Array, position: Array, speed: Array, torque: Array, ra
             "an end stop? move the shaft to the middle of its travel, and give limits.turns_max in the "
             "nameplate",
         )
-    driven = _driven(position, speed, torque, _QUIET_SHARE * rated_nm)
+    driven = _driven(time, position, speed, torque, _QUIET_SHARE * rated_nm)
     if driven is not None:
         turns, gained = driven
         raise_driven(turns, f"{abs(gained) / RAD_S_PER_RPM:.3g} r/min from rest, and no torque told that way")
@@ -74,7 +76,9 @@ def _stop_hit(time: Array, position: Array, speed: Array, torque: Array) -> int 
     look = max(3, round(_LOOK_S / period))
     least = _SLOWEST * float(np.max(np.abs(speed)))
     began = 0
-    for at in np.flatnonzero(np.diff(np.sign(speed)) != 0.0) + 1:
+    # A shaft that stands for a moment and goes on the same way does not reverse.
+    moving = np.maximum.accumulate(np.where(speed != 0.0, np.arange(len(speed)), 0))
+    for at in np.flatnonzero(np.sign(speed[moving[1:]]) * np.sign(speed[moving[:-1]]) < 0.0) + 1:
         before, behind = np.abs(speed[began:at]), np.abs(speed[at : at + look])
         fast, back = float(before[-look:].max(initial=0.0)), float(behind.max())
         far = abs(float(position[at] - position[began])) > _NEAREST * math.tau
@@ -93,7 +97,9 @@ def _stop_hit(time: Array, position: Array, speed: Array, torque: Array) -> int 
     return None
 
 
-def _driven(position: Array, speed: Array, torque: Array, quiet_nm: float) -> tuple[float, float] | None:
+def _driven(
+    time: Array, position: Array, speed: Array, torque: Array, quiet_nm: float
+) -> tuple[float, float] | None:
     """Return turns and rad/s that the shaft gained from rest while no torque drove it; None if it did not."""
     if np.isnan(torque).any():
         return None
@@ -109,6 +115,8 @@ def _driven(position: Array, speed: Array, torque: Array, quiet_nm: float) -> tu
         part = np.abs(speed[low:high])
         top = int(np.argmax(part))
         turns = float(position[low + top] - position[low]) / math.tau
+        if time[low + top] - time[low] < _DRIVEN_S:
+            continue
         if part[0] < 0.3 * part[top] and part[top] > 0.05 * fastest and abs(turns) > DRIVEN_TURNS:
             return turns, float(speed[low + top])
     return None

@@ -24,6 +24,8 @@ _MARGIN: Final = 1.6
 """Factor of the measured delay for which the controller is designed."""
 _NOISE_TORQUE: Final = 0.05
 """Rms of the torque caused by the velocity's noise, as a share of the rated torque."""
+_SHAKING: Final = 0.5
+"""Loop gain at a resonance: half of that with which it shakes, whatever the phase."""
 _GAIN_DELAY: Final = 0.6
 """Crossing frequency times delay of the designs, about."""
 _LOAD_MAX_PERCENT: Final = 60.0
@@ -36,6 +38,8 @@ _RAMP_S: Final = 0.25
 """Long against the speed loop, so that a plateau is reached without a step in torque."""
 _HOLD_S: Final = 0.5
 """Its second half is judged: the loop has settled by then."""
+_SETTLED: Final = 25.0
+"""Time of a plateau times the crossing frequency: the integral is a third as fast as that."""
 _ERROR_MAX: Final = 0.02
 """Rms error, as a share of the plateau's speed."""
 _UNITS_MAX: Final = 3.0
@@ -69,12 +73,13 @@ class Suggest(Step):
         model = speed_model(_shaft(mechanics.inertia_kg_m2, viscous, lag_s), integral=True)
         # The gain goes with the inverse of the delay: where noise forbids it, a longer one is designed for.
         quiet = _NOISE_TORQUE * session.drive.rated_torque_nm / max(findings.speed_noise_rad_s, 1e-12)
+        cause = "the velocity's noise"
+        shaking = findings.resonance
+        if shaking is not None and _SHAKING / shaking.magnitude < quiet:
+            quiet, cause = _SHAKING / shaking.magnitude, f"the resonance at {shaking.frequency_hz:.3g} Hz"
         delay_s = max(designed_s, _GAIN_DELAY * mechanics.inertia_kg_m2 / quiet)
         if delay_s > designed_s:
-            outcome.say(
-                f"the velocity's noise allows {quiet:.3g} N m s/rad, "
-                f"so it is designed for {1e6 * delay_s:.0f} us"
-            )
+            outcome.say(f"{cause} allows {quiet:.3g} N m s/rad, so it is designed for {1e6 * delay_s:.0f} us")
         try:
             design = session.meanwhile(least_gain, model, delay_s, Feedback.SPEED)
         except DesignError as error:
@@ -162,6 +167,14 @@ def suggested_limits(session: Session) -> dict[str, float]:
     }
 
 
+def _hold_s(session: Session) -> float:
+    """Return the time of a plateau: the loop settles in its first half, also one made slow by a resonance."""
+    proportional, mechanics = session.found.controller.get("proportional_nm_s_rad"), session.found.mechanics
+    if not proportional or mechanics is None:
+        return _HOLD_S
+    return max(_HOLD_S, _SETTLED * mechanics.inertia_kg_m2 / float(proportional))
+
+
 class Verify(Step):
     """Runs the suggested controller on the drive."""
 
@@ -177,18 +190,20 @@ class Verify(Step):
 
     def _speed(self, session: Session) -> float:
         limits = session.limits
-        return min(_VERIFY_SHARE * limits.speed_rad_s, 0.8 * limits.travel_rad / (_RAMP_S + _HOLD_S))
+        way_s = _RAMP_S + _hold_s(session)
+        return min(_VERIFY_SHARE * limits.speed_rad_s, 0.8 * limits.travel_rad / way_s)
 
     def run(self, session: Session, outcome: StepOutcome) -> None:
         speed = self._speed(session)
         over = max(_RAMP_S, session.mechanics.inertia_kg_m2 * speed / (0.5 * session.limits.torque_nm))
+        hold_s = _hold_s(session)
         reference: list[Segment] = []
         time = 0.1
         plateaus = []
         for target in (speed, 0.0, -speed, 0.0):
             reference.append(Ramp(time, target, over))
-            plateaus.append((time + over + 0.5 * _HOLD_S, time + over + _HOLD_S, target))
-            time += over + _HOLD_S
+            plateaus.append((time + over + 0.5 * hold_s, time + over + hold_s, target))
+            time += over + hold_s
         gains = {name: gain for name, gain in session.found.controller.items() if name != "kind"}
         with session.exercising() as exerciser:
             recording = exerciser.run(Pid(PidGains(**gains), exerciser.period_s), time, reference)

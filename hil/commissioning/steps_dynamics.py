@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from servobench.hil.commissioning.identify import Array
 from servobench.hil.commissioning.plots import draw_delays, draw_response
 from servobench.hil.commissioning.ramps import ramps_told
 from servobench.hil.commissioning.request import MotionLimits
+from servobench.hil.commissioning.resonance import RISE_MIN, closer_lines_hz, resonance_of
 from servobench.hil.commissioning.sequence import Step
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_mechanics import ramp_time, tells_torque
@@ -53,6 +54,12 @@ _GUIDE_RAD_S: Final = 4.0
 """Bandwidth of the loop that holds the speed: below the lowest line, 12.6 rad/s, so that it affects none."""
 _COHERENT: Final = 0.8
 """Below this the noise is a quarter or more of the torque's effect."""
+_LARGER: Final = 2.0
+"""Over the sines of the whole range: 80 % of the torque limit, for lines close to each other."""
+_SMALLER: Final = 0.5
+"""Share of the torque in the second look at a resonance: play shows as another frequency."""
+_PLAY: Final = 0.01
+"""Relative difference of the two frequencies."""
 _MIDDLE_HZ: Final = (4.0, 60.0)
 """Range in which a shaft is rigid: above the guide, and below the resonances of couplings."""
 
@@ -94,40 +101,73 @@ class Response(Step):
         )
 
     def run(self, session: Session, outcome: StepOutcome) -> None:
-        mechanics = session.mechanics
-        limits = session.limits
-        base = _BASE_SHARE * limits.speed_rad_s
-        with session.exercising(_roomy(limits)) as exerciser:
-            period = exerciser.period_s
-            share_nm, highest_hz = _sines(session)
-            lines = lines_hz(_LOWEST_HZ, highest_hz, _LINES, _BLOCK_S)
-            room = mechanics.inertia_kg_m2 * math.tau * _LOWEST_HZ * 0.3 * base
-            amplitude = min(share_nm, 3.0 * room)
-            added = multisine(lines, amplitude, seed=session.request.node)
-            over = max(
-                0.3, ramp_time(session, base), mechanics.inertia_kg_m2 * base / (0.3 * limits.torque_nm)
-            )
-            start = over + 0.7
-            guide = SpeedGuide(
-                mechanics,
-                period,
-                added=lambda time: added(time) if time >= start - 0.4 else 0.0,
-                bandwidth_rad_s=_GUIDE_RAD_S,
-            )
-            recording = exerciser.run(guide, start + _BLOCKS * _BLOCK_S + 0.2, [Ramp(0.0, base, over)])
-        refuse_losses(recording.lost, recording.cycles)
-        try:
-            response = session.meanwhile(
-                frequency_response, recording.time, recording.torque, recording.velocity,
-                lines, _BLOCK_S, period, start,
-            )  # fmt: skip
-        except ValueError as error:
-            raise StepFailed("too few samples for a frequency response", str(error)) from error
+        mechanics, limits = session.mechanics, session.limits
+        share_nm, highest_hz = _sines(session)
+        room = mechanics.inertia_kg_m2 * math.tau * _LOWEST_HZ * 0.3 * _BASE_SHARE * limits.speed_rad_s
+        amplitude = min(share_nm, 3.0 * room)
+        lines = lines_hz(_LOWEST_HZ, highest_hz, _LINES, _BLOCK_S)
+        response = _measured(session, lines, amplitude)
         model = 1.0 / (
             mechanics.inertia_kg_m2 * 1j * math.tau * response.frequency_hz + mechanics.viscous_friction_nm_s
         )
-        _judge_response(response, model, outcome)
+        rise = _judge_response(response, model, outcome)
         session.picture(outcome, "response", draw_response, response, model)
+        if rise.ratio > RISE_MIN:
+            self._look_closer(session, rise, amplitude, outcome)
+
+    def _look_closer(self, session: Session, rise: "_Rise", usual_nm: float, outcome: StepOutcome) -> None:
+        """Measure the resonance near a rise by lines around it, with two amplitudes."""
+        lines = closer_lines_hz(rise.near_hz, _BLOCK_S, _sines(session)[1])
+        period_s = session.found.period / NS_PER_S
+        limits, rigid = session.limits, session.mechanics.inertia_kg_m2 * math.tau * rise.near_hz
+        swinging_nm = 0.3 * _BASE_SHARE * limits.speed_rad_s * rigid / rise.ratio
+        largest_nm = min(_LARGER * usual_nm, 6.0 * swinging_nm)
+        large, small = (
+            resonance_of(_measured(session, lines, share * largest_nm), period_s) for share in (1.0, _SMALLER)
+        )
+        if large is None or small is None:
+            outcome.say(f"near {rise.near_hz:.0f} Hz no resonance of two masses fits")
+            return
+        apart = abs(small.frequency_hz / large.frequency_hz - 1.0)
+        outcome.figures["resonance_apart"] = apart
+        if apart > _PLAY:
+            outcome.say(
+                f"the resonance goes with the amplitude: {large.frequency_hz:.4g} Hz, and with half of it "
+                f"{small.frequency_hz:.4g} Hz; the coupling has play"
+            )
+        else:
+            outcome.measured("resonance", large.frequency_hz, "Hz", 2.0 * apart * large.frequency_hz)
+            outcome.say(
+                f"resonance at {large.frequency_hz:.4g} Hz, damping {100.0 * large.damping_ratio:.2g} %"
+            )
+            outcome.figures |= {"resonance_hz": large.frequency_hz, "damping_ratio": large.damping_ratio}
+        session.found.resonance = max(large, small, key=lambda each: each.magnitude)
+
+
+def _measured(session: Session, lines: Array, amplitude_nm: float) -> FrequencyResponse:
+    """Return the response at ``lines`` of a shaft that turns one way."""
+    mechanics, limits = session.mechanics, session.limits
+    base = _BASE_SHARE * limits.speed_rad_s
+    with session.exercising(_roomy(limits)) as exerciser:
+        period = exerciser.period_s
+        added = multisine(lines, amplitude_nm, seed=session.request.node)
+        over = max(0.3, ramp_time(session, base), mechanics.inertia_kg_m2 * base / (0.3 * limits.torque_nm))
+        start = over + 0.7
+        guide = SpeedGuide(
+            mechanics,
+            period,
+            added=lambda time: added(time) if time >= start - 0.4 else 0.0,
+            bandwidth_rad_s=_GUIDE_RAD_S,
+        )
+        recording = exerciser.run(guide, start + _BLOCKS * _BLOCK_S + 0.2, [Ramp(0.0, base, over)])
+    refuse_losses(recording.lost, recording.cycles)
+    try:
+        return session.meanwhile(
+            frequency_response, recording.time, recording.torque, recording.velocity,
+            lines, _BLOCK_S, period, start,
+        )  # fmt: skip
+    except ValueError as error:
+        raise StepFailed("too few samples for a frequency response", str(error)) from error
 
 
 def _sines(session: Session) -> tuple[float, float]:
@@ -145,7 +185,14 @@ def _roomy(limits: MotionLimits) -> MotionLimits:
     return replace(limits, energy_j=4.0 * limits.energy_j)
 
 
-def _judge_response(measured: FrequencyResponse, model: ComplexArray, outcome: StepOutcome) -> None:
+class _Rise(NamedTuple):
+    """The largest rise above the rigid shaft."""
+
+    ratio: float
+    near_hz: float
+
+
+def _judge_response(measured: FrequencyResponse, model: ComplexArray, outcome: StepOutcome) -> _Rise:
     frequency, response, coherence = measured.frequency_hz, measured.response, measured.coherence
     middle = (frequency >= _MIDDLE_HZ[0]) & (frequency <= _MIDDLE_HZ[1]) & (coherence > _COHERENT)
     if not middle.any():
@@ -174,6 +221,7 @@ def _judge_response(measured: FrequencyResponse, model: ComplexArray, outcome: S
     }
     if not 0.8 < ratio < 1.25:
         raise StepFailed("response and ramps disagree on the inertia", f"ratio {ratio:.3f}")
+    return _Rise(float(dips[peak]), float(frequency[peak]))
 
 
 class Delays(Step):

@@ -14,6 +14,7 @@ from servobench.drivers.timebase import NS_PER_MS, Duration
 from servobench.hil.commissioning.findings import StepOutcome
 from servobench.hil.commissioning.identify import Mechanics
 from servobench.hil.commissioning.request import PlateRating
+from servobench.hil.commissioning.resonance import Resonance
 from servobench.hil.commissioning.steps_design import Suggest
 
 J, B, RATED_NM = 2e-3, 4e-3, 2.0
@@ -21,7 +22,10 @@ LAG_US, READING_US, EFFECT_US = 800.0, 400.0, 700.0
 
 
 def suggested(
-    noise_rad_s: float = 0.0, rating: PlateRating | None = None, reading_us: float = READING_US
+    noise_rad_s: float = 0.0,
+    rating: PlateRating | None = None,
+    reading_us: float = READING_US,
+    resonance: Resonance | None = None,
 ) -> tuple[StepOutcome, dict[str, Any]]:
     """What the step finds, and the controller."""
     found = SimpleNamespace(
@@ -32,6 +36,7 @@ def suggested(
         period=Duration(NS_PER_MS),
         plan=mode_plan(1, PlanWish()),
         controller={},
+        resonance=resonance,
     )
     session: Any = SimpleNamespace(
         mechanics=Mechanics(J, B, 0.05, 0.0, 0.0, 0.0, 0.0, 10, 0.0),
@@ -69,6 +74,15 @@ def test_the_load_moves_the_speed_as_far_as_is_said() -> None:
     assert outcome.figures["proportional_nm_s_rad"] == controller["proportional_nm_s_rad"]
     assert outcome.figures["integral_nm_rad"] == controller["integral_nm_rad"]
     assert outcome.figures["crossing_rad_s"] == pytest.approx(controller["proportional_nm_s_rad"] / J)
+
+
+@pytest.mark.long
+def test_a_resonance_is_left_with_half_of_the_gain_that_shakes() -> None:
+    _, gains = suggested()
+    peak = 2.0 / gains["proportional_nm_s_rad"]
+    outcome, less = suggested(resonance=Resonance(84.9, 0.02, peak))
+    assert less["proportional_nm_s_rad"] * peak == pytest.approx(0.5, rel=0.25)
+    assert outcome.lines[0].startswith(f"the resonance at 84.9 Hz allows {0.5 / peak:.3g} N m s/rad")
 
 
 @pytest.mark.long

@@ -153,6 +153,12 @@ def test_a_free_oscillation_hits_nothing() -> None:
     judged(3.0 * np.cos(60.0 * time), np.full(500, 0.5))
 
 
+def test_a_shaft_that_stands_for_a_moment_and_goes_on_hits_nothing() -> None:
+    """As a rotor that its coupling swings while it comes to rest."""
+    speed: Array = np.concatenate([np.linspace(0.0, 20.0, 200), np.linspace(20.0, 0.0, 6), [0.0, 0.0]])
+    judged(np.concatenate([speed, np.full(20, 10.0), np.zeros(50)]), np.full(278, 0.1))
+
+
 @pytest.mark.parametrize("back", [0.5, 0.05])
 def test_a_sudden_reversal_is_a_stop_if_it_gives_something_back(back: float) -> None:
     speed: Array = np.concatenate([np.linspace(0.0, 20.0, 200), np.linspace(20.0, -20.0 * back, 6)])
