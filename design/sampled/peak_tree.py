@@ -69,12 +69,13 @@ def covered(points: Array, radii: Array, radius: float) -> tuple[NDArray[np.intp
     ``points`` (N, m, k): the distance of two is the largest of m Euclidean ones.
     """
     flat, free = points.reshape(len(points), -1), np.ones(len(points), dtype=bool)
-    near = cKDTree(flat).query_ball_point(flat, np.maximum(radius - radii.min(), 0.0))
+    tree, reach = cKDTree(flat), max(radius - float(radii.min()), 0.0)
     chosen, widened = [], []
     for place in np.argsort(radii, kind="stable")[::-1]:
         if not free[place]:
             continue
-        others = np.array([each for each in near[place] if free[each]])
+        others = np.array(tree.query_ball_point(flat[place], reach))
+        others = others[free[others]]
         apart = np.linalg.norm(points[others] - points[place], axis=2).max(axis=1) + radii[others]
         apart[others == place] = radii[place]
         inside = apart <= max(radius, radii[place])
