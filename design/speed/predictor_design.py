@@ -10,7 +10,7 @@ least       the largest peak over its own floor, of the motor and of +-30 % of i
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property, lru_cache
 
 import numpy as np
 import scipy.optimize
@@ -20,7 +20,7 @@ from servobench.design.delay.speed_loop import peak_floor_rad_s
 from servobench.design.errors import InfeasibleDesign
 from servobench.design.motor import PmsmParameters
 from servobench.design.sampled.held_loop import Operation
-from servobench.design.speed.predictor_loop import Prediction, PredictorLoop, delay_margin_s
+from servobench.design.speed.predictor_loop import Prediction, PredictorLoop, delay_margin_s, together
 from servobench.design.speed.predictor_plant import (
     KalmanModel,
     PredictorPlant,
@@ -57,8 +57,8 @@ _FALSE_STEPS = 0.45
 taken for a step, and the gains calm down within a few."""
 _SLOWEST, _FASTEST = 1e-2, 3e2
 """Range of walks, in rated torques per root of s; they are the ends of a bisection."""
-_BISECTIONS = 10
-"""Halvings of the ratio, 3e4: they leave 1 % of a walk."""
+_ROUNDS, _HALVINGS = 2, 5
+"""Rounds of as many halvings of the ratio, 3e4: they leave 1 % of a walk."""
 _ALLOWED, _TIE = 0.1, 0.1
 """Ratio that another inertia may cost beyond the motor's own, and the weight of the latter alone."""
 WORST = 1e3
@@ -140,13 +140,17 @@ def _kalman(request: PredictorRequest) -> KalmanModel:
     return kalman_model(request.plant, request.period_s, request.speed_noise_rad_s, request.torque_noise_nm)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class PredictorDesign:
     """A predictor and its figures."""
 
     request: PredictorRequest
     F: Array
     walks: Walks
+
+    @cached_property
+    def _filtering(self) -> AdaptiveFilter:
+        return AdaptiveFilter(self.request.kalman, self.walks)
 
     @property
     def prediction(self) -> Prediction:
@@ -158,19 +162,20 @@ class PredictorDesign:
         """Return the peak after the step over the floor of that inertia, both without noise."""
         request = self.request
         periods = math.ceil(3.0 * (request.delay_s / request.period_s + 1.0)) + 10 + 2 * lost
-        peaks = [
-            load_step(
+        largest = 0.0
+        for phase in PHASES:
+            self._filtering.begin()
+            trial = load_step(
                 self.prediction,
-                AdaptiveFilter(request.kalman, self.walks),
+                self._filtering,
                 request.load_nm,
                 periods,
                 phase=phase,
                 plant=request.plant.changed(inertia),
                 lost=frozenset(range(lost)),
-            ).peak_rad_s
-            for phase in PHASES
-        ]
-        return max(peaks) / request.floor_rad_s(inertia, lost)
+            )
+            largest = max(largest, trial.peak_rad_s)
+        return largest / request.floor_rad_s(inertia, lost)
 
 
 def design_predictor(request: PredictorRequest) -> PredictorDesign:
@@ -204,66 +209,80 @@ def peak_cost(ratio: Callable[[float], float]) -> float:
     return max(own + _ALLOWED, less, more) + _TIE * own
 
 
+class _Limits:
+    """The loops with a feedback that must be stable, and the torque's noise of the first."""
+
+    def __init__(self, request: PredictorRequest, F: Array) -> None:
+        prediction = Prediction(request.plant, request.period_s, request.delay_s, F)
+        self._loops = [
+            PredictorLoop(prediction, request.plant.changed(inertia), request.delay_s + more_s)
+            for inertia, more_s in request.borne
+        ]
+        self._together = together(self._loops)
+        self._noise_rad_s = request.speed_noise_rad_s
+
+    def robust(self, L: Array) -> bool:
+        """Return True if every loop is stable with the gain L (4,)."""
+        return all(loops.are_stable(L) for loops in self._together)
+
+    def noise_nm(self, L: Array) -> float:
+        """Return the rms of the command that the samples' noise causes; inf if unstable."""
+        return self._loops[0].torque_noise_nm(L, self._noise_rad_s)
+
+
 def _with_walks(request: PredictorRequest, F: Array) -> PredictorDesign | None:
-    prediction = Prediction(request.plant, request.period_s, request.delay_s, F)
-    loops = [
-        PredictorLoop(prediction, request.plant.changed(inertia), request.delay_s + more_s)
-        for inertia, more_s in request.borne
-    ]
-    kalman, most_nm = request.kalman, request.command_noise_nm
+    limits, kalman, most_nm = _Limits(request, F), request.kalman, request.command_noise_nm
 
-    def robust(walk: float) -> bool:
-        L = kalman.observer(walk)
-        return all(loop.is_stable(L) for loop in loops)
-
-    def noise_nm(walk: float) -> float:
-        return loops[0].torque_noise_nm(kalman.observer(walk), request.speed_noise_rad_s)
-
-    def quiet(walk: float) -> bool:
-        return noise_nm(walk) <= _QUIET_SHARE * most_nm and robust(walk)
+    def quiet(L: Array) -> bool:
+        return limits.noise_nm(L) <= _QUIET_SHARE * most_nm and limits.robust(L)
 
     rated = request.motor.rated_torque_nm
-    slow = _largest(quiet, _SLOWEST * rated, _FASTEST * rated)
+    slow = _largest(quiet, kalman, _SLOWEST * rated, _FASTEST * rated)
     if slow is None:
         return None
-    calm_nm = noise_nm(slow)
+    calm_nm = limits.noise_nm(kalman.observer(slow))
 
-    def bold(walk: float) -> bool:
-        mixed = (1.0 - _FALSE_STEPS) * calm_nm**2 + _FALSE_STEPS * noise_nm(walk) ** 2
-        return mixed <= most_nm**2 and robust(walk)
+    def bold(L: Array) -> bool:
+        mixed = (1.0 - _FALSE_STEPS) * calm_nm**2 + _FALSE_STEPS * limits.noise_nm(L) ** 2
+        return mixed <= most_nm**2 and limits.robust(L)
 
-    fast = _largest(bold, slow, _FASTEST * rated)
+    fast = _largest(bold, kalman, slow, _FASTEST * rated)
     return PredictorDesign(request, F, Walks(slow, fast or slow))
 
 
 def largest_quiet_walk(request: PredictorRequest, F: Array) -> float:
     """Return the fastest walk of the load whose constant gains keep the limits; the slowest if none does."""
-    prediction = Prediction(request.plant, request.period_s, request.delay_s, F)
-    loops = [
-        PredictorLoop(prediction, request.plant.changed(inertia), request.delay_s + more_s)
-        for inertia, more_s in request.borne
-    ]
+    limits = _Limits(request, F)
 
-    def quiet(walk: float) -> bool:
-        L = request.kalman.observer(walk)
-        noise_nm = loops[0].torque_noise_nm(L, request.speed_noise_rad_s)
-        return noise_nm <= request.command_noise_nm and all(loop.is_stable(L) for loop in loops)
+    def quiet(L: Array) -> bool:
+        return limits.noise_nm(L) <= request.command_noise_nm and limits.robust(L)
 
     rated = request.motor.rated_torque_nm
-    return _largest(quiet, _SLOWEST * rated, _FASTEST * rated) or _SLOWEST * rated
+    return _largest(quiet, request.kalman, _SLOWEST * rated, _FASTEST * rated) or _SLOWEST * rated
 
 
-def _largest(keeps: Callable[[float], bool], low: float, high: float) -> float | None:
-    """Return the largest value between two that ``keeps``, by bisection; None: not even the low one."""
-    if not keeps(low):
+def _largest(keeps: Callable[[Array], bool], kalman: KalmanModel, low: float, high: float) -> float | None:
+    """Return the largest walk between two whose gains are kept, by bisection; None: not even the low one's.
+
+    The gains of all points that a round may ask for are found together.
+    """
+    if not keeps(_observers(kalman, low, low, 1)[1][0]):
         return None
-    for _ in range(_BISECTIONS):
-        middle = math.sqrt(low * high)
-        if keeps(middle):
-            low = middle
-        else:
-            high = middle
+    for _ in range(_ROUNDS):
+        walks, gains = _observers(kalman, low, high, 2**_HALVINGS)
+        first, last = 0, len(walks) - 1
+        while last - first > 1:
+            middle = (first + last) // 2
+            first, last = (middle, last) if keeps(gains[middle]) else (first, middle)
+        low, high = float(walks[first]), float(walks[last])
     return low
+
+
+@lru_cache(maxsize=256)
+def _observers(kalman: KalmanModel, low: float, high: float, parts: int) -> tuple[Array, Array]:
+    """Return (N,) walks between two, evenly in their logarithm, and their gains (N, 4)."""
+    walks = np.geomspace(low, high, parts + 1)
+    return walks, kalman.observers(walks)
 
 
 _SETTLED = 300

@@ -8,6 +8,7 @@ The plant may be another than the predictor's, and so may its delay.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,8 @@ from servobench.design.statespace import StateSpace
 
 _OBSERVER = INPUT + 1
 _BUFFER = _OBSERVER + STATES
+_DOUBLINGS, _SETTLED = 60, 1e-15
+"""Doublings of the number of periods at most, and the relative change that ends them."""
 _STEADY = 1.0 - 1e-9
 """A pole at 1, as of a load that nothing corrects, is found only to rounding errors."""
 
@@ -49,6 +52,8 @@ class PredictorLoop(PlantLoop):
         delay_s = prediction.delay_s if delay_s is None else delay_s
         size = _BUFFER + max(self._whole, split(delay_s, h)[0]) + 2
         super().__init__(plant or prediction.plant, h, delay_s, _BUFFER, size)
+        self._read = np.zeros(self.size)
+        self._read[FILTERED], self._read[_OBSERVER + FILTERED] = 1.0, -1.0
         self._state_ahead, self._commands_ahead = self._ahead()
         lost = self.chain(None)
         self._uncorrected = self.transition(lost)
@@ -56,7 +61,9 @@ class PredictorLoop(PlantLoop):
         """The addition of a correction to xi after its jump, for each entry of x^."""
         self._entering[_OBSERVER:_BUFFER] = np.eye(STATES)
         self._entering[_BUFFER] = -prediction.F @ self._state_ahead
-        self._entered = self.transition(lost[1:]) @ self._entering
+        self._jump = self.transition(lost[:1])
+        self._behind_jump = self.transition(lost[1:])
+        self._entered = self._behind_jump @ self._entering
 
     def chain(self, L: Array | None) -> list[Operation]:
         """Return a period that begins with a sample of gain L (4,); None: with a lost one."""
@@ -74,16 +81,21 @@ class PredictorLoop(PlantLoop):
     @property
     def read(self) -> Array:
         """The (size,) row of xi that is the innovation of a sample."""
-        read = np.zeros(self.size)
-        read[FILTERED], read[_OBSERVER + FILTERED] = 1.0, -1.0
-        return read
+        return self._read
+
+    @property
+    def closed_parts(self) -> tuple[Array, Array]:
+        """The period without a sample (size, size), and what enters it for each entry of a gain (size, 4)."""
+        return self._uncorrected, self._entered
 
     def torque_noise_nm(self, L: Array, speed_noise_rad_s: float) -> float:
         """Return the rms of the command caused by white noise on each sample; inf if unstable."""
-        if not self.is_stable(L):
-            return math.inf
         noise = self._entering @ L
-        return self.command_rms_nm(self.chain(L), np.outer(noise, noise) * speed_noise_rad_s**2)
+        # behind the jump of a sample, which is that of a lost one and what the gain adds
+        turned = (self._jump + np.outer(noise, self.read)) @ self._behind_jump
+        if not float(np.max(np.abs(np.linalg.eigvals(turned)))) < _STEADY:
+            return math.inf
+        return speed_noise_rad_s * rms_at(self.first_command, turned, noise)
 
     def margins(self, L: Array) -> Margins:
         """Return the margins of the loop cut where commands begin to act, between samples of the plant."""
@@ -129,6 +141,52 @@ class PredictorLoop(PlantLoop):
         J[_OBSERVER:_BUFFER, _BUFFER + self._whole] += after[1]
         J[_OBSERVER:_BUFFER, _BUFFER + self._whole + 1] += after[0] @ before[1]
         return J
+
+
+def rms_at(place: int, A: Array, b: Array) -> float:
+    """Return the rms of an entry of x, x+ = A x + b w, w white noise of 1, A stable.
+
+    By doubling: from the covariance of k periods to that of 2 k.
+    """
+    X = np.outer(b, b)
+    for _ in range(_DOUBLINGS):
+        added = A @ X @ A.T
+        X = X + added
+        if np.max(np.abs(added)) <= _SETTLED * np.max(np.abs(X)):
+            break
+        A = A @ A
+    return math.sqrt(X[place, place])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopsTogether:
+    """The closed periods of (m,) loops with states of one size s, whose gains are one."""
+
+    uncorrected: Array
+    """(m, s, s)."""
+    entered: Array
+    """(m, s, 4)."""
+    read: Array
+    """(s,)."""
+
+    def are_stable(self, L: Array) -> bool:
+        """Return True if each is stable with every sample received; L (4,)."""
+        closed = self.uncorrected + (self.entered @ L)[:, :, None] * self.read
+        return bool(np.max(np.abs(np.linalg.eigvals(closed))) < _STEADY)
+
+
+def together(loops: Sequence[PredictorLoop]) -> list[LoopsTogether]:
+    """Return loops of like size side by side."""
+    sizes = sorted({loop.size for loop in loops})
+    like = [[loop for loop in loops if loop.size == size] for size in sizes]
+    return [
+        LoopsTogether(
+            np.array([each.closed_parts[0] for each in group]),
+            np.array([each.closed_parts[1] for each in group]),
+            group[0].read,
+        )
+        for group in like
+    ]
 
 
 def delay_margin_s(prediction: Prediction, L: Array) -> float:

@@ -21,6 +21,8 @@ TORQUE, SPEED, FILTERED, LOAD = range(STATES)
 _UNSURE = (SPEED, FILTERED, LOAD)
 READ = np.array([0.0, 1.0, 0.0])
 """The filtered speed among the states with a variance."""
+_DOUBLINGS, _SETTLED = 60, 1e-15
+"""Doublings of the number of periods at most, and the relative change that ends them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,10 +114,32 @@ class KalmanModel:
 
     def stationary(self, walk: float) -> Array:
         """Return P (3, 3) before each correction, where every sample comes."""
-        from scipy.linalg import solve_discrete_are  # as above
+        return np.asarray(self._stationary(np.array([walk]))[0])
 
-        noise = np.array([[self.R]])
-        return np.asarray(solve_discrete_are(self.Phi.T, READ[:, None], self.process(walk), noise))
+    def _stationary(self, walks: Array) -> Array:
+        """Return the same for (N,) walks, (N, 3, 3).
+
+        By doubling: from covariances after k periods to those after 2 k (Chu, Fan, Lin, Wang, Int. J. Control
+        77(8), 2004).
+        """
+        n = len(self.Phi)
+        # in units in which every state's walk of a period has the size of the noise on a sample
+        units = np.sqrt(np.diag(self.Phi @ self.process(1.0) @ self.Phi.T + self.process(1.0)))
+        H = (self.Q_torque + (walks * walks)[:, None, None] * self.Q_walk) / np.outer(units, units)
+        A = np.broadcast_to((self.Phi * units / units[:, None]).T, H.shape)
+        G = np.broadcast_to(np.outer(READ * units, READ * units) / self.R, H.shape)
+        for _ in range(_DOUBLINGS):
+            W = np.linalg.solve(np.eye(n) + G @ H, np.concatenate([A, G], axis=2))
+            turned, added = W[..., :n], H @ W[..., :n]
+            later = H + np.swapaxes(A, 1, 2) @ added
+            G = G + A @ W[..., n:] @ np.swapaxes(A, 1, 2)
+            A = A @ turned
+            later = 0.5 * (later + np.swapaxes(later, 1, 2))
+            settled = np.max(np.abs(later - H)) <= _SETTLED * np.max(np.abs(later))
+            H = later
+            if settled:
+                break
+        return np.asarray(H * np.outer(units, units))
 
     @cache  # noqa: B019 - a model lives as long as its design
     def settled(self, walk: float) -> Array:
@@ -136,7 +160,12 @@ class KalmanModel:
 
     def observer(self, walk: float) -> Array:
         """Return L (4,) of x, where every sample comes."""
-        return of_state(self.gain(self.stationary(walk)))
+        return np.asarray(self.observers(np.array([walk]))[0])
+
+    def observers(self, walks: Array) -> Array:
+        """Return the same for (N,) walks, (N, 4)."""
+        read = self._stationary(walks) @ READ
+        return np.hstack([np.zeros((len(walks), 1)), read / (read @ READ + self.R)[:, None]])
 
 
 def of_state(gain: Array) -> Array:
@@ -157,10 +186,15 @@ def kalman_model(
     walk[-1, -1] = 1.0
     # Van Loan, IEEE Trans. Autom. Control 23(3), 1978
     M = np.block([[-A, walk], [np.zeros((n, n)), A.T]])
-    total = expm(M * period_s)
+    # of a part of the period, then doubled: where the filter forgets within one, M alone grows beyond double
+    halvings = max(0, math.ceil(math.log2(max(period_s * float(np.linalg.norm(A, 2)), 1.0))))
+    total = expm(M * (period_s / 2.0**halvings))
     Phi = total[n:, n:].T
-    held = torque_noise_nm * np.append(Phi[:2, 2], 0.0)
     added = Phi @ total[:n, n:]
+    for _ in range(halvings):
+        added = added + Phi @ added @ Phi.T
+        Phi = Phi @ Phi
+    held = torque_noise_nm * np.append(Phi[:2, 2], 0.0)
     return KalmanModel(Phi, np.outer(held, held), 0.5 * (added + added.T), speed_noise_rad_s**2)
 
 

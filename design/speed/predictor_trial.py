@@ -37,28 +37,54 @@ class Walks:
     """Walk of the filter whose covariance is taken over when a step is seen."""
 
 
+class _Known:
+    """Covariances before a sample, and what follows from them: trials of one filter meet the same again."""
+
+    def __init__(self, model: KalmanModel, walks: Walks, quiet: Array, bold: Array) -> None:
+        self._model, self._walks = model, walks
+        self._quiet, self._bold = quiet, bold
+        self._later: dict[bool | None, tuple[Array, _Known]] = {}
+        self.spread = float(READ @ quiet @ READ) + model.R
+        """Variance of the innovation."""
+
+    def after(self, step: bool | None) -> tuple[Array, "_Known"]:
+        """Return L (4,) and the covariances a period later. ``step``: one was seen; None: the sample is
+        lost."""
+        if step not in self._later:
+            model, quiet = self._model, self._bold if step else self._quiet
+            bold, L = self._bold, of_state(model.gain(quiet))
+            if step is not None:
+                quiet, bold = model.corrected(quiet), model.corrected(bold)
+            self._later[step] = L, _predicted(model, self._walks, quiet, bold)
+        return self._later[step]
+
+
+def _predicted(model: KalmanModel, walks: Walks, quiet: Array, bold: Array) -> _Known:
+    """Return what is known a period after two covariances."""
+    return _Known(model, walks, model.predicted(quiet, walks.quiet), model.predicted(bold, walks.bold))
+
+
 class AdaptiveFilter:
     """The gains of each sample."""
 
     def __init__(self, model: KalmanModel, walks: Walks) -> None:
-        self._model, self._walks = model, walks
-        self._quiet, self._bold = model.settled(walks.quiet), model.settled(walks.bold)
+        self._begin = _predicted(model, walks, model.settled(walks.quiet), model.settled(walks.bold))
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin anew, where every sample came before."""
+        self._known = self._begin
         self.steps_seen = 0
 
-    def predict(self) -> None:
-        """Advance by a period."""
-        self._quiet = self._model.predicted(self._quiet, self._walks.quiet)
-        self._bold = self._model.predicted(self._bold, self._walks.bold)
+    def lose(self) -> None:
+        """Advance by a period whose sample is lost."""
+        _, self._known = self._known.after(None)
 
     def correct(self, innovation: float) -> Array:
-        """Return L (4,) for a sample with this innovation, rad/s."""
-        spread = float(READ @ self._quiet @ READ) + self._model.R
-        if innovation * innovation > STEP_SIGMAS**2 * spread:
-            self._quiet = self._bold
-            self.steps_seen += 1
-        L = of_state(self._model.gain(self._quiet))
-        self._quiet = self._model.corrected(self._quiet)
-        self._bold = self._model.corrected(self._bold)
+        """Return L (4,) for a sample with this innovation, rad/s, and advance by a period."""
+        step = innovation * innovation > STEP_SIGMAS**2 * self._known.spread
+        self.steps_seen += step
+        L, self._known = self._known.after(step)
         return L
 
 
@@ -108,8 +134,9 @@ def load_step(
     sent = np.zeros(max(whole, behind) + 2)
     speeds, commands = [float(x[SPEED])], []
     for number in range(periods):
-        filtering.predict()
-        if number not in lost:
+        if number in lost:
+            filtering.lose()
+        else:
             noise = 0.0 if noise_rad_s is None else float(noise_rad_s[number])
             innovation = float(x[FILTERED] - estimate[FILTERED]) + noise
             estimate = estimate + filtering.correct(innovation) * innovation

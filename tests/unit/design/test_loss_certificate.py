@@ -177,8 +177,8 @@ def test_every_gain_of_either_filter_lies_in_its_box() -> None:
     for _ in range(3000):
         lost = int(draw.integers(0, 4))
         innovation = float(draw.choice([0.0, 10.0], p=[0.7, 0.3]))
-        for _ in range(lost + 1):
-            own.predict()
+        for _ in range(lost):
+            own.lose()
         host.predict(lost + 1)
         host.correct(innovation)
         gains = host.quiet

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import solve_discrete_are
 
 from servobench.design.errors import InfeasibleDesign
 from servobench.design.papers.ling2012 import MOTOR
@@ -16,7 +17,7 @@ from servobench.design.speed.predictor_design import (
     predictor_robustness,
 )
 from servobench.design.speed.predictor_loop import Prediction, PredictorLoop, delay_margin_s
-from servobench.design.speed.predictor_plant import encoder_noise_rad_s, kalman_model, plant_of
+from servobench.design.speed.predictor_plant import READ, encoder_noise_rad_s, kalman_model, plant_of
 from servobench.design.speed.predictor_trial import STEP_SIGMAS, AdaptiveFilter, Walks, load_step
 from servobench.hil.control import load_filter
 from servobench.hil.control.load_filter import FilterNoise, LoadFilter
@@ -54,6 +55,19 @@ def test_the_noise_of_an_encoder_is_that_of_the_simulated_drive() -> None:
     assert pytest.approx(speed_noise_rad_s(FirmwareParameters())) == NOISE_RAD_S
 
 
+@pytest.mark.parametrize("counts", [4096, 65_536, 1 << 20])
+@pytest.mark.parametrize("period_s", [1e-3, 4e-3, 20e-3])
+def test_covariances_are_those_of_scipy(counts: int, period_s: float) -> None:
+    """At 20 ms, where the drive's filter forgets all within a period, the process noise is one as well."""
+    model = kalman_model(PLANT, period_s, encoder_noise_rad_s(counts, 500.0, 16_000.0), 0.01)
+    assert np.all(np.diag(model.Q_walk) > 0.0)
+    walks = np.geomspace(0.02, 600.0, 33)
+    for walk, L in zip(walks, model.observers(walks), strict=True):
+        P = solve_discrete_are(model.Phi.T, READ[:, None], model.process(walk), [[model.R]])
+        assert model.stationary(walk) == pytest.approx(P, rel=1e-9, abs=1e-12 * np.max(P))
+        assert L[1:] == pytest.approx(model.gain(P), rel=1e-9)
+
+
 def test_the_filters_of_design_and_host_are_one() -> None:
     assert STEP_SIGMAS == load_filter.STEP_SIGMAS
     host = LoadFilter(
@@ -64,7 +78,6 @@ def test_the_filters_of_design_and_host_are_one() -> None:
     own = AdaptiveFilter(KALMAN, Walks(1.0, 8.0))
     for innovation in (0.01, -0.02, 0.9, 0.3, -0.1, 0.02, -1.5, 0.0):
         host.predict(1)
-        own.predict()
         host.correct(innovation)
         gains = own.correct(innovation)
         quiet = host.quiet
