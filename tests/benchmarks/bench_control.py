@@ -6,7 +6,9 @@
 
 Each figure is over its own floor: with its inertia, its losses, and tau up to the torque at the shaft (the
 drive's dead time included; its speed filter and its current's rise count to the ratio). ``median`` and
-``worst``: over the instants, each with the encoder's noise as it comes.
+``worst``: over the instants, each with the encoder's noise as it comes. A line ``(least)`` before those of a
+motor: what no controller of the drive's speed with a torque noise of 5 % can beat in the mean, by estimation
+theory (tests/noise_floor.py), over the same instants.
 """
 
 import argparse
@@ -20,7 +22,20 @@ import numpy as np
 from servobench.design.errors import DesignError
 from servobench.drivers.errors import BenchError
 from servobench.hil.configuration.motor_file import LING2012, load_motor
-from tests.floor_runs import PERIOD_S, Case, fused, hinf, measure, observing, pid, predictor, static, table_of
+from tests.floor_runs import (
+    PERIOD_S,
+    Case,
+    fused,
+    hinf,
+    measure,
+    observing,
+    pid,
+    predictor,
+    request,
+    static,
+    table_of,
+)
+from tests.noise_floor import NoisyStep
 from tests.random_motors import designed
 
 _OTHERS: Final = {"fused": fused, "hinf": hinf, "observer": observing, "pid": pid, "static": static}
@@ -47,6 +62,21 @@ def predictor_table(case: Case) -> dict[str, Any]:
     return table_of(predictor(case))
 
 
+def least(case: Case, phases: int) -> tuple[float, float]:
+    """Median and worst over the instants of the least mean peak over the floor."""
+    asked = request(case)
+    step = NoisyStep(
+        asked.plant,
+        asked.period_s,
+        asked.delay_s,
+        case.load_nm,
+        asked.speed_noise_rad_s,
+        asked.command_noise_nm,
+    )
+    ratios = [step.least_peak_rad_s(phase / phases) / case.floor_rad_s() for phase in range(phases)]
+    return float(np.median(ratios)), max(ratios)
+
+
 def main() -> None:
     """A line for each motor, delay and controller."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -62,6 +92,11 @@ def main() -> None:
     for case, phases in cases():
         if chosen.only not in ("", case.name):
             continue
+        print(
+            f"{case.name:22} {1e3 * (PERIOD_S + case.delay_s):6.0f} {'(least)':10} "
+            + " ".join(f"{value:13.3f}" for value in least(case, chosen.phases or phases)),
+            flush=True,
+        )
         ways: dict[str, Callable[[Case], dict[str, Any]]] = {"predictor": predictor_table, **_OTHERS}
         for name in filter(None, chosen.controllers.split(",")) if chosen.controllers else ways:
             way = partial(ways[name], case)
