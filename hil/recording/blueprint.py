@@ -11,7 +11,15 @@ from typing import Any, Final
 
 import rerun.blueprint as rrb
 
-from servobench.hil.recording.lanes import STATES, in_order, lane, lane_colors, live_tracks
+from servobench.hil.recording.lanes import (
+    BY_CYCLE,
+    DROPOUTS,
+    STATES,
+    in_order,
+    lane,
+    lane_colors,
+    live_tracks,
+)
 from servobench.hil.recording.page_series import (
     AXIS_COLORS,
     LIMITS,
@@ -125,6 +133,9 @@ class Pages:
             ),
         ]
         own = self._tracks("", name)
+        if linked:
+            by_cycle = {f"{name} {DROPOUTS}": f"{name} {BY_CYCLE}"}
+            own = [by_cycle.get(track, track) for track in own]
         return self._with_lanes(own, plots, [name], title, linked)
 
     def _speed(self, name: str, linked: bool, marks: bool) -> tuple[rrb.View, rrb.View]:

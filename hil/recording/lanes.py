@@ -36,6 +36,9 @@ VERDICT_TRACK: Final = "verdict"
 """Track of the whole run's verdict; an axis' track shows its speed error alone."""
 LIMITS_TRACK: Final = "limits"
 """Track of a run that goes on: whether all its limits are kept so far."""
+DROPOUTS, BY_CYCLE = "dropouts", "readings"
+"""Kinds of track of an axis: dropouts in stretches of the whole run; the fate of each cycle's reading, which
+takes its place where a part of the run is looked into."""
 BROKEN: Final = "BROKEN"
 SETTLING, KEPT, BEYOND, NOT_JUDGED = "Settling", "Kept", "BEYOND", "Not judged"
 _WINDOWS_MAX: Final = 100
@@ -48,7 +51,7 @@ _WIDTH_LEAST: Final = 400
 
 _DARK, _DIM, _GOOD, _RED, _AMBER = 0x1B1E23FF, 0x3F4650FF, 0x1565C0FF, 0xB3202AFF, 0xD9A520FF
 """Good, bad and doubtful differ by 40 and more (CIELAB) under deuteranopia and protanopia too; green and red
-would differ by 14."""
+would differ by 14. So do the causes of dropouts among each other; few of a cause are its colour darkened."""
 _VERDICT_COLORS: Final = {
     kind.value.capitalize(): _RED if kind.exit_status else _GOOD if kind is VerdictKind.PASSED else _DIM
     for kind in VerdictKind
@@ -75,11 +78,11 @@ _PHASE_COLORS: Final = {
 """Phases that a run goes through; any other gets a colour of the viewer's choice."""
 _CAUSES: Final = [cause.value.capitalize() for cause in CAUSES]
 _CAUSE_COLORS: Final = {
-    **dict(zip(_CAUSES, (_RED, 0xC2571AFF, 0x8A6D1FFF, 0x7A3FA0FF), strict=True)),
+    **dict(zip(_CAUSES, (_RED, 0xFFC030FF, 0xB8E8FFFF, 0x4A3FE0FF), strict=True)),
     **dict(
         zip(
             (f"{cause}, few" for cause in _CAUSES),
-            (0x551C22FF, 0x5A3320FF, 0x46391DFF, 0x402855FF),
+            (0x551C22FF, 0x665020FF, 0x4A5D66FF, 0x241F66FF),
             strict=True,
         )
     ),
@@ -125,7 +128,7 @@ def lane(track: str, colors: Mapping[str, int]) -> "Visualizer":
 
 
 def _place(track: str, axes: Sequence[str]) -> int:
-    kinds = {"error": _ERROR, "drive": _DRIVE, "link": _LINK, "dropouts": _DROPOUTS}
+    kinds = {"error": _ERROR, "drive": _DRIVE, "link": _LINK, DROPOUTS: _DROPOUTS, BY_CYCLE: _DROPOUTS}
     axis, _, kind = track.rpartition(" ")
     if axis in axes and kind in kinds:
         return kinds[kind]

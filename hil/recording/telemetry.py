@@ -21,6 +21,7 @@ from servobench.hil.loop.samples import CommandFate
 from servobench.hil.recording.blueprint import EVENTS, HISTOGRAM, MARKS_MAX, SUMMARY, VERDICT, Whole, layout
 from servobench.hil.recording.lanes import (
     BROKEN,
+    BY_CYCLE,
     KEPT,
     LIMITS_TRACK,
     STATES,
@@ -51,7 +52,7 @@ from servobench.hil.reviewing.histogram import TimeHistogram, round_width
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.events import INJECTED_TRACK, QUIET
 from servobench.hil.rows.recording_plan import RecordingPlan
-from servobench.hil.rows.records import DriveStates, HostStates, LabelChange, LinkStates, Rows
+from servobench.hil.rows.records import DriveStates, FateStates, HostStates, LabelChange, LinkStates, Rows
 from servobench.hil.rows.run_files import RERUN_FILE
 from servobench.hil.rows.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent, drives_of
 from servobench.hil.verdict.summary import Summary, checks_so_far
@@ -65,8 +66,7 @@ _FLUSH_MAX_S = 10.0
 _EVENT_COLUMNS = 64
 """A longer text goes on in the next line: so much a list at the right of a screen of 1920 shows."""
 _BEFORE_MAX, _AFTER_MAX = 0.1, 0.5
-"""Shares of the cycles shown before the first one, and after the last one while a drive coasts; more is not
-shown on opening."""
+"""Shares of the cycles shown on opening before the first one, and after the last one while a drive coasts."""
 _APPLICATION = "servobench"
 _PROPERTIES = "run"
 
@@ -104,6 +104,7 @@ class Telemetry:
         self._drives = [DriveStates() for _ in self._axes]
         self._links = [LinkStates() for _ in self._axes]
         self._dropouts = [CodeLane() for _ in self._axes]
+        self._fates = [FateStates() for _ in self._axes]
         self._gaps = {name: Gaps() for name in self._axes}
         self._host = HostStates()
         self._missed = False
@@ -111,8 +112,7 @@ class Telemetry:
         self._offset_origin_ns: list[int | None] = [None] * len(self._axes)
         """Offset of each axis' clock in the first row that has one."""
         self._shown: dict[str, list[LabelChange]] = {}
-        """Changes of each track, in order of time: rows and events report a state twice, and either may come
-        first."""
+        """By track, in order of time: rows and events report a state twice, and either may come first."""
         self._styled: set[str] = set()
         self._envelopes: dict[str, Envelope] = {}
         self.observed = ObservedFrames(plan.observed)
@@ -265,6 +265,7 @@ class Telemetry:
             causes = dropout_lane(self._dropouts[number])
             if any(cause.label != QUIET for cause in causes):
                 self._show_changes(f"{name} dropouts", [*causes, LabelChange(self._last_cycle, QUIET)])
+                self._send_changes(f"{name} {BY_CYCLE}", [LabelChange(self._last_cycle + 1, QUIET)])
             if causes:
                 judged = error_lane(review, self._plan.review, number, first, self._last_cycle)
                 self._show_changes(f"{name} error", judged)
@@ -323,6 +324,7 @@ class Telemetry:
         self._show_changes(f"{name} drive", self._drives[number].changes(rows))
         self._show_changes(f"{name} link", self._links[number].changes(rows))
         self._dropouts[number].add(rows["due_at"], rows["fate"])
+        self._send_changes(f"{name} {BY_CYCLE}", self._fates[number].changes(rows))
         self._gaps[name].add(rows["due_at"], rows["fate"] != FATE_SAMPLE)
         if number == 0:
             # A cycle without SYNC is one of all axes.
@@ -373,11 +375,12 @@ class Telemetry:
             if not place or shown[place - 1].label != change.label:
                 shown.insert(place, change)
                 kept.append(change)
-        if not kept:
-            return
-        times = np.array([change.at for change in kept])
-        column = lane_column(track, [change.label for change in kept])
-        self._stream.send_columns(STATES, self._times(times), [column])
+        self._send_changes(track, kept)
+
+    def _send_changes(self, track: str, changes: Sequence[LabelChange]) -> None:
+        if changes:
+            times, labels = zip(*changes, strict=True)
+            self._stream.send_columns(STATES, self._times(np.array(times)), [lane_column(track, labels)])
 
     def _show_verdict(self, summary: Summary | None) -> None:
         text = verdict_markdown(self._plan, summary, self._told)

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from servobench.drivers.cia402.profile import STATE_BITS, state_of
 from servobench.drivers.exchange import NEVER_TOLD
-from servobench.hil.loop.cycle_record import COLUMNS, FATE_MISSED, FATE_SAMPLE, NAMES
+from servobench.hil.loop.cycle_record import CAUSES, COLUMNS, FATE_MISSED, FATE_SAMPLE, NAMES
+from servobench.hil.rows.events import QUIET
 
 DIGESTED: Final = tuple(
     [place for place, name in enumerate(NAMES) if name != "compute_ns" and not name.startswith("channel_")]
@@ -102,6 +103,15 @@ class HostStates(_Codes):
         """Return the changes in rows of one axis, in order."""
         missed = (rows["fate"] == FATE_MISSED).astype(np.int64)
         return self._changes(missed, rows["due_at"], (HOST_IN_TIME, HOST_MISSED).__getitem__)
+
+
+class FateStates(_Codes):
+    """Fates of the readings of one axis: changes from one cycle to the next."""
+
+    def changes(self, rows: Rows) -> list[LabelChange]:
+        """Return the changes in rows of one axis, in order; QUIET: there is a reading."""
+        labels = (QUIET, *(cause.value.capitalize() for cause in CAUSES))
+        return self._changes(rows["fate"].astype(np.int64), rows["due_at"], labels.__getitem__)
 
 
 def drive_label(statusword: int) -> str:

@@ -17,6 +17,7 @@ from tests.pictures.browser import PROGRAM
 from tests.pictures.cases import Case, cases
 from tests.pictures.html_pages import look_at, made_pages
 from tests.pictures.pixels import Picture, complaints
+from tests.pictures.window import bursts_of, look_into
 
 _VIEWERS: Final = 3
 """At once: one mostly waits for the notice with which it opens to go."""
@@ -33,8 +34,8 @@ _OTHER_SIZES: Final = ((1366, 768), (3840, 2160))
 
 
 def draw(case: Case, recording: Path, out: Path) -> list[Drawn]:
-    """What a user sees on opening it, and the other pages, as ``out``/NAME.png, ``out``/NAME-PAGE.png and
-    ``out``/NAME-WIDTH.png."""
+    """What a user sees on opening it, and the other pages, as ``out``/NAME.png, ``out``/NAME-PAGE.png,
+    ``out``/NAME-window.png and ``out``/NAME-WIDTH.png."""
     with headless_viewer() as viewer:
         viewer.show(page_file(recording))
         viewer.put_cursor(None)
@@ -42,6 +43,10 @@ def draw(case: Case, recording: Path, out: Path) -> list[Drawn]:
         for page in viewer.pages()[1:] if case.pages else ():
             viewer.turn_to(page)
             drawn.append(_judged(f"{case.name}-{page.replace('/', '-')}", viewer.picture(), out, None))
+        if case.window:
+            png, wrong = look_into(viewer, bursts_of(recording))
+            (out / f"{case.name}-window.png").write_bytes(png)
+            drawn.append((f"{case.name}-window", wrong))
     for size in _OTHER_SIZES if case.sizes else ():
         with headless_viewer(size) as viewer:
             viewer.show(page_file(recording))

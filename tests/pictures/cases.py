@@ -33,6 +33,8 @@ class Case:
     """On that page; see :func:`tests.pictures.pixels.complaints`."""
     pages: bool = False
     """All its pages are drawn, not only the one that it opens with."""
+    window: bool = False
+    """A window of it is looked into: see :mod:`tests.pictures.window`."""
     sizes: bool = False
     """The page that it opens with is drawn for a small screen and a large one, too."""
 
@@ -83,6 +85,7 @@ _ENDED_BY: Final = {
 }
 _GAPS: Final = ("blackout", "full_queue")
 """Faults of 20 ms without readings: no curve of what was read crosses them."""
+_WINDOWS: Final = ("blackout", "loss")
 _BROKEN: Final[Mapping[str, tuple[str, float, Mapping[str, Any]]]] = {
     "speed_error_peak_percent_max": ("ling2012", 2.0, {}),
     "after_load_percent_max": ("ling2012", 2.0, {}),
@@ -134,7 +137,8 @@ def cases() -> Iterator[Case]:
     for kind in TABLES:
         ends = _ENDED_BY.get(kind, VerdictKind.PASSED)
         seen = {"fault": True, **({"gap": True} if kind in _GAPS else {})}
-        yield Case(f"fault-{kind}", made.run("ling2012.toml", faults_of(kind), ends), (), seen)
+        opened = made.run("ling2012.toml", faults_of(kind), ends)
+        yield Case(f"fault-{kind}", opened, (), seen, window=kind in _WINDOWS)
     for limit in VerdictLimits.__dataclass_fields__:
         if limit == "compute_us_max":
             continue  # judged in real time alone

@@ -33,6 +33,10 @@ _FAINT, _BRIGHT = 0.35, 0.6
 """What is mixed thinner with the background is not looked at; lines are brighter than the bars of lanes."""
 _BAR_PX: Final = 12
 """A bar of a lane is 28 px high, text and lines less than this."""
+_EDGE_PX: Final = 4
+"""So much of a bar lies above its words."""
+_CURSOR: Final = 60.0
+"""By so much the cursor is brighter than what it covers."""
 _LINE_PX: Final = 100
 """A limit is drawn for longer, the dot of a legend for shorter."""
 _GAP_PX: Final = 6
@@ -97,6 +101,37 @@ class Picture:
     def line_px(self, color: Color) -> int:
         """How long the longest level line in a colour is."""
         return round(int(self._alike(color).sum(axis=1).max()) / self._scale)
+
+    def bar_rows(self, color: Color) -> slice | None:
+        """Rows of the upper edge of the last lane with bars in a colour, above their words; None: no lane."""
+        high = self._px(_BAR_PX)
+        rows = np.flatnonzero(self._alike(color).sum(axis=1) > high)
+        lanes = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+        found = [each for each in lanes if each.size >= high]
+        return slice(int(found[-1][1]), int(found[-1][1]) + self._px(_EDGE_PX)) if found else None
+
+    def bars(self, color: Color, rows: slice) -> list[tuple[int, int]]:
+        """First column of each bar of a lane, and the one behind its last."""
+        alike = self._alike(color)[rows].all(axis=0)
+        edges = np.flatnonzero(np.diff(alike, prepend=False, append=False))
+        return [(int(first), int(behind)) for first, behind in edges.reshape(-1, 2)]
+
+    def curve_rows(self, color: Color) -> slice:
+        """Rows of the plot of a curve, those of a legend's dot among them."""
+        rows = np.flatnonzero(self._alike(color, _ALIKE, _BRIGHT).any(axis=1))
+        return slice(int(rows[0]), int(rows[-1]) + 1)
+
+    def curve_columns(self, color: Color, rows: slice) -> NDArray[np.int64]:
+        """Columns that a curve goes through, left of its legend."""
+        found: NDArray[np.int64] = np.flatnonzero(self._alike(color, _ALIKE, _BRIGHT)[rows].any(axis=0))
+        return found[found < (1.0 - _EDGE) * self._column.shape[1]]
+
+    def cursor(self, other: "Picture", rows: slice) -> tuple[float, float]:
+        """Columns of the cursor in these rows: here, and in another picture that differs by it alone."""
+        ink = np.linalg.norm(self._column[rows], axis=2) - np.linalg.norm(other._column[rows], axis=2)
+        brighter = [(sign * ink > _CURSOR).mean(axis=0) for sign in (1.0, -1.0)]
+        here, there = (np.flatnonzero(each > 0.5 * each.max()) for each in brighter)
+        return float(here.mean()), float(there.mean())
 
     def _px(self, length: float) -> int:
         return round(length * self._scale)

@@ -1,15 +1,18 @@
 """Each check finds what it is for in a picture made by hand, and nothing in one that is as it should be."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from servobench.drivers.timebase import NS_PER_MS
 from servobench.hil.verdict.metrics import VerdictLimits
 from servobench.virtual_bus.faults.register import TABLES
 from tests.pictures.cases import cases
 from tests.pictures.pixels import BARS, CURVES, LIMIT, Color, Picture, complaints
+from tests.pictures.window import Burst, untrue
 
 Pixels = NDArray[np.float64]
 WIDTH = 1344
@@ -103,6 +106,47 @@ def test_what_is_wrong_is_found(spoil: Callable[[Pixels], None], found: str) -> 
     pixels = page()
     spoil(pixels)
     assert found in "; ".join(complaints(Picture(pixels), LINES, SEEN))
+
+
+# ---- a window -----------------------------------------------------------------------------------------
+
+MARKS = (5 * NS_PER_MS, 15 * NS_PER_MS)
+"""Of the cursor, at 300 and 900: a cycle of 1 ms is 60 px wide."""
+BURST = Burst(8 * NS_PER_MS, 9 * NS_PER_MS)
+"""From 480 to 600; the readings before and behind are at 420 and 600."""
+
+
+def window(cursor: int, begin: int = 480, end: int = 600, gap: tuple[int, int] = (420, 600)) -> Picture:
+    pixels = np.full((1080, 1920, 3), (13.0, 16.0, 17.0))
+    bar(pixels, "red", 160, begin, end)
+    for row, name in ((500, "error"), (700, "torque"), (900, "delay")):
+        line(pixels, CURVES[name], row, 60, gap[0])
+        line(pixels, CURVES[name], row, gap[1], 1340)
+    pixels[90:1000, cursor] = 255.0
+    return Picture(pixels)
+
+
+@pytest.mark.parametrize(
+    ("drawn", "found"),
+    [
+        ({}, []),
+        ({"begin": 430, "end": 650}, []),  # less than a cycle
+        ({"begin": 400}, ["a bar 1.3 ms from its rows at 0.008 s"]),
+        ({"end": 700}, ["a bar 1.7 ms from its rows at 0.008 s"]),
+        ({"end": 480}, ["no lane of dropouts"]),
+        (
+            {"gap": (540, 540)},
+            [
+                f"{name} goes on for 119 px where there was no reading"
+                for name in ("error", "torque", "delay")
+            ],
+        ),
+    ],
+)
+def test_a_bar_off_its_rows_and_a_line_across_a_gap_are_found(
+    drawn: dict[str, Any], found: list[str]
+) -> None:
+    assert list(untrue(window(300, **drawn), window(900, **drawn), MARKS, [BURST])) == found
 
 
 def test_every_kind_of_fault_and_every_limit_has_its_picture() -> None:

@@ -54,7 +54,7 @@ def test_lanes_are_ordered_by_what_they_tell() -> None:
         ("axis1 drive", {"Unknown": DARK, "Fault reaction active": RED, "Operation enabled": GOOD}),
         ("phase", {"Running": 0x2E7D6BFF, "Stopped": DIM}),
         ("axis1 link", {"OK": GOOD, "DEGRADED": AMBER, "DOWN": RED}),
-        ("axis1 dropouts", {"-": DARK, "Lost": RED, "Lost, few": 0x551C22FF, "Missed": 0x7A3FA0FF}),
+        ("axis1 dropouts", {"-": DARK, "Lost": RED, "Lost, few": 0x551C22FF, "Missed": 0x4A3FE0FF}),
         ("host", {"In time": GOOD, "MISSED": RED}),
         ("injected loss", {"-": DARK, "Injected": AMBER}),
     ],
@@ -154,6 +154,7 @@ def rgb(rgba: int) -> tuple[int, int, int]:
         ("axis1 link", ("OK", "DEGRADED", "DOWN")),
         ("host", ("In time", "MISSED")),
         ("limits", ("Kept", "BROKEN")),
+        ("axis1 dropouts", ("Lost", "Late", "Stale", "Missed")),
     ],
 )
 def test_good_and_bad_differ_for_the_colour_blind_too(track: str, labels: Sequence[str]) -> None:
