@@ -124,7 +124,8 @@ class Picture:
     def curve_columns(self, color: Color, rows: slice) -> NDArray[np.int64]:
         """Columns that a curve goes through, left of its legend."""
         found: NDArray[np.int64] = np.flatnonzero(self._alike(color, _ALIKE, _BRIGHT)[rows].any(axis=0))
-        return found[found < (1.0 - _EDGE) * self._column.shape[1]]
+        shown: NDArray[np.int64] = found[found < (1.0 - _EDGE) * self._column.shape[1]]
+        return shown
 
     def cursor(self, other: "Picture", rows: slice) -> tuple[float, float]:
         """Columns of the cursor in these rows: here, and in another picture that differs by it alone."""

@@ -54,7 +54,7 @@ def look_into(viewer: HeadlessViewer, bursts: Sequence[Burst]) -> tuple[bytes, l
         viewer.put_cursor(mark / NS_PER_S)
         pictures.append(viewer.picture())
     inside = [each for each in bursts if each.first_ns < end_ns and each.last_ns > begin_ns]
-    return pictures[0], list(untrue(*map(Picture.of_png, pictures), marks, inside))
+    return pictures[0], list(untrue(Picture.of_png(pictures[0]), Picture.of_png(pictures[1]), marks, inside))
 
 
 def untrue(one: Picture, other: Picture, marks: tuple[int, int], bursts: Sequence[Burst]) -> Iterator[str]:
@@ -86,4 +86,4 @@ def _instants(one: Picture, other: Picture, rows: slice, marks: tuple[int, int])
     """By the columns of the cursor in these rows of both pictures."""
     first, second = one.cursor(other, rows)
     slope = (marks[1] - marks[0]) / (second - first)
-    return lambda columns: marks[0] + (columns - first) * slope
+    return lambda columns: np.asarray(marks[0] + (columns - first) * slope, np.float64)
