@@ -263,15 +263,6 @@ def test_dropouts_have_a_lane_by_cause(tmp_path: Path) -> None:
     assert [state for (state,) in states] == ["-", "Lost", "-", "Late", "Stale", "-", "Missed", "-"]
 
 
-def test_each_cycle_without_a_reading_has_its_place_where_a_part_is_looked_into(tmp_path: Path) -> None:
-    fates = np.zeros(20_000, np.int64)
-    fates[[700, 703, 704, 12_345]] = 1, 1, 2, FATE_MISSED
-    path = write_run(plan_for(tmp_path), plain_rows(20_000, fate=fates), events=())
-    times, states = lane(path, "axis1 readings")
-    assert (times[1:-1] // NS_PER_MS).tolist() == [700, 701, 703, 704, 705, 12_345, 12_346]
-    assert [state for (state,) in states] == ["-", "Lost", "-", "Lost", "Late", "-", "Missed", "-", "-"]
-
-
 def test_a_stretch_with_few_dropouts_is_told_from_one_without_readings(tmp_path: Path) -> None:
     rows = plain_rows(60_000, fate=np.where(np.arange(60_000) % 50 == 7, 1, 0))
     rows["fate"][30_000:31_000] = 1
