@@ -195,11 +195,12 @@ def run(asked: RunOptions) -> None:
             say("hil: note: --view: no display here; the recording is kept, see hil view")
         config = _bench_to_run(asked)
 
+        from servobench.hil.configuration.config_checks import idle_faults
         from servobench.hil.configuration.quantities import odd_values
         from servobench.hil.execution.network_guard import Certificates
 
         doubts = Certificates(config.as_run(asked.bus or config.bus.spec, asked.seed)).doubts()
-        for note in (*odd_values(config), *doubts):
+        for note in (*odd_values(config), *idle_faults(config), *doubts):
             say(f"hil: note: {note}")
 
         from servobench.hil.execution.bench import run_bench

@@ -13,7 +13,7 @@ from servobench.drivers.cia402.profile import BENCH_MODES
 from servobench.drivers.errors import MISSING, BadInput
 from servobench.drivers.key_advice import nearest
 from servobench.drivers.rotation import RAD_S_PER_RPM
-from servobench.drivers.timebase import NS_PER_S, NS_PER_US, US_PER_S, Duration
+from servobench.drivers.timebase import NS_PER_S, NS_PER_US, US_PER_S, Duration, duration_s
 from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.hil.configuration.config import BenchConfig, Bus, BusSegment, Host
 from servobench.hil.configuration.config_axis import DriveConfig, observed_faults
@@ -22,6 +22,7 @@ from servobench.hil.configuration.mode_checks import Fault, mode_faults, referen
 from servobench.hil.configuration.references import Load, LoadStep, SignalFile, SineReference
 from servobench.hil.loop.scenario import Quantity
 from servobench.virtual_bus.drive.field import NO_FIELD, speed_without_load_rad_s
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
 
 LOAD_DELAY_MAX_S = (1 << 32) * NS_PER_US // NS_PER_S
 """Range of 2100h:5, 32 bits of microseconds."""
@@ -41,6 +42,18 @@ def cross_faults(config: BenchConfig, source: str) -> list[BadInput]:
     except BadInput as error:
         errors.append(error)
     return errors
+
+
+def idle_faults(config: BenchConfig) -> Iterator[str]:
+    """Yield a note on each table of the fault plan that never acts on this bench."""
+    if not isinstance(config.faults, FaultPlan):
+        return
+    nodes = {config.host.node, *(drive.node for drive in config.drive.values())}
+    nodes |= {
+        entry.can_id & NODE_BITS for _, _, segment in _every_segment(config) for entry in segment.background
+    }
+    duration = duration_s(config.bench.duration_s)
+    yield from (f"faults.{place}: {why}" for place, why in config.faults.idle(nodes, duration))
 
 
 def _nodes(config: BenchConfig) -> Iterator[Fault]:

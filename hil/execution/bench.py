@@ -17,6 +17,7 @@ from servobench.drivers.sheets.dictionary import LoadedDictionary
 from servobench.drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock, duration_s, utc_stamp
 from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.configuration.config_checks import idle_faults
 from servobench.hil.configuration.quantities import odd_values
 from servobench.hil.execution import assembly, segments
 from servobench.hil.execution.assembly import AxisCode, axis_code, check_axes
@@ -265,7 +266,12 @@ class _Run:
             self.conclusion.look_at(self._drives)
 
     def _prepare(self) -> None:
-        for note in (*self.certificates.notes, *self.certificates.doubts(), *odd_values(self.config)):
+        for note in (
+            *self.certificates.notes,
+            *self.certificates.doubts(),
+            *odd_values(self.config),
+            *idle_faults(self.config),
+        ):
             self._say(note, "WARN")
         for axis, code in self.code.items():
             for key, kept in code.own.items():

@@ -48,7 +48,8 @@ A plan says nothing about chance: the seed belongs to :class:`.fault_injector.Fa
 """
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass
 from typing import Any, get_args
 
@@ -57,7 +58,7 @@ from pydantic_core import ErrorDetails
 
 from servobench.drivers.errors import MISSING, BadInput
 from servobench.drivers.key_advice import unknown_key
-from servobench.drivers.timebase import Duration
+from servobench.drivers.timebase import NS_PER_S, Duration
 from servobench.virtual_bus.faults.fault_table import A_NUMBER, A_WHOLE_NUMBER, FaultTable
 from servobench.virtual_bus.faults.frame_fault import FrameFault, LinkFault, Side
 from servobench.virtual_bus.faults.kinds.host_stall import HostStall
@@ -119,8 +120,22 @@ class FaultPlan:
 
     @property
     def span(self) -> Duration:
-        """When the last window opens or closes, ns after time zero: a run should be longer."""
+        """When the last window opens or closes, ns after time zero."""
         return max((edge for fault in self._tables for edge in fault.edges_ns), default=Duration(0))
+
+    def idle(self, nodes: Set[int], duration: Duration) -> Iterator[tuple[str, str]]:
+        """Yield each table that never acts in a run of ``duration``, ns, on a bus with ``nodes``: its key in
+        the file, and why."""
+        counts = Counter[str]()
+        for fault in self._tables:
+            place = f"{fault.kind}[{counts[fault.kind]}]"
+            counts[fault.kind] += 1
+            named, edges = getattr(fault, "nodes", ()), fault.edges_ns
+            if named and nodes.isdisjoint(named):
+                told = ", ".join(str(node) for node in sorted(named))
+                yield f"{place}.nodes", f"{told}: the bench has none of them, so it never acts"
+            elif edges and min(edges) >= duration:
+                yield place, f"it begins at {min(edges) / NS_PER_S:g} s, behind the end, so it never acts"
 
     def as_tables(self) -> dict[str, list[dict[str, Any]]]:
         """The plan as :func:`load_fault_plan` takes it, to be written beside a run."""

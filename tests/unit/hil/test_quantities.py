@@ -8,6 +8,7 @@ import pytest
 
 from servobench.drivers.errors import BadInput
 from servobench.hil.configuration.bench_file import bench_from, load_bench
+from servobench.hil.configuration.config_checks import idle_faults
 from servobench.hil.configuration.config_files import BadInputs
 from servobench.hil.configuration.design_files import load_weights
 from servobench.hil.configuration.quantities import odd_values
@@ -77,9 +78,33 @@ def test_the_odd_is_told(path: tuple[Any, ...], value: Any, told: str) -> None:
     assert told in notes[0]
 
 
+@pytest.mark.parametrize(
+    ("faults", "told"),
+    [
+        (
+            {"loss": [{"probability": 0.1, "nodes": [5]}]},
+            "faults.loss[0].nodes: 5: the bench has none of them",
+        ),
+        ({"loss": [{"probability": 0.1, "nodes": [1, 5]}]}, ""),
+        ({"loss": [{"probability": 0.1, "nodes": [127]}]}, ""),
+        ({"loss": [{"probability": 0.1, "from_s": 2.0}]}, "faults.loss[0]: it begins at 2 s, behind the end"),
+        ({"loss": [{"probability": 0.1, "from_s": 1.9, "until_s": 9.0}]}, ""),
+        (
+            {"drive_fault": [{"fault": "over_current", "at_s": 1.0}, {"fault": "over_current", "at_s": 7.5}]},
+            "faults.drive_fault[1]: it begins at 7.5 s, behind the end",
+        ),
+        ({"host_stall": [{"at_s": 3.0, "late_us": 5000}]}, "faults.host_stall[0]: it begins at 3 s"),
+    ],
+)
+def test_a_fault_that_never_acts_is_told(faults: Any, told: str) -> None:
+    notes = list(idle_faults(bench_from(tables_with(("faults",), faults), "bench.toml", EXAMPLES)))
+    assert len(notes) == bool(told)
+    assert told in "".join(notes)
+
+
 @pytest.mark.parametrize("bench", sorted(EXAMPLES.glob("*.toml")), ids=lambda path: path.name)
 def test_the_examples_are_not_odd(bench: Path) -> None:
-    assert list(odd_values(load_bench(bench))) == []
+    assert [*odd_values(load_bench(bench)), *idle_faults(load_bench(bench))] == []
 
 
 def test_a_weight_that_overflows_the_synthesis_is_refused(tmp_path: Path) -> None:
