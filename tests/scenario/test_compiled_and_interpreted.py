@@ -64,6 +64,7 @@ def digest_of_run(
     said, _, files = done.stderr.rpartition("files ")
     compiled = {group for group, file in zip(FIRST_OF, files.split(), strict=True) if file.endswith(".so")}
     notes = [line for line in said.splitlines() if line.startswith("hil: note:")]
+    notes = [line for line in notes if "never acts" not in line]  # faults behind the end of a short run
     return str(json.loads(done.stdout)["digest"]), compiled, notes
 
 

@@ -197,7 +197,7 @@ def test_loading_a_bench_runs_nothing_of_it(tmp_path: Path) -> None:
         ({"object": "no_such_file.py:Pi"}, "there is no file"),
         ({"object": "json:Pi"}, "; json has none"),
         ({"object": "json:JSONDecoder"}, r"a class derived from servobench\.Controller"),
-        ({"parameters": {"gane": 1.0}}, "unexpected keyword argument 'gane'"),
+        ({"parameters": {"gane": 1.0}}, "parameters.gane: found 1.0, expected gain"),
         ({"object": "nothing"}, "MODULE:NAME"),
     ],
 )
