@@ -123,6 +123,8 @@ def _export_frames(run: Path, wanted: ExportFormat, out: Path | None, *, unseale
         raise not_a_recording(run, FRAMES_FILE)
     seal = seal_of(run, unsealed=unsealed)
     path = out or run / f"frames.{wanted.value}"
+    if (run / FRAMES_FILE).is_file():
+        refuse_without_end(run / FRAMES_FILE)
     with written("--out", path, f".{wanted.value}") as part:
         count = export_frames(run, wanted, part)
         size = part.stat().st_size

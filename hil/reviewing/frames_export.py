@@ -22,7 +22,6 @@ from servobench.drivers.timebase import NS_PER_S, NS_PER_US
 from servobench.drivers.wire.identifiers import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_ID_MAX, REMOTE_FLAG
 from servobench.hil.reviewing.export_format import ExportFormat
 from servobench.hil.rows.frames_file import read_batches, read_interfaces
-from servobench.hil.rows.records_file import refuse_without_end
 from servobench.hil.rows.run_files import FRAMES_FILE, FRAMES_LOG
 
 _HEX = np.frombuffer(b"0123456789ABCDEF", np.uint8)
@@ -117,7 +116,6 @@ def export_frames(folder: Path, wanted: ExportFormat, path: Path) -> int:
         older = f"; {folder / FRAMES_LOG} is candump's log" if (folder / FRAMES_LOG).is_file() else ""
         expected = f"a recording with {FRAMES_FILE} (recording.frames of its bench){older}"
         raise BadInput(str(folder), "", "no frames", expected)
-    refuse_without_end(source)
     interfaces, count = read_interfaces(source), 0
 
     def batches() -> Batches:
