@@ -118,6 +118,7 @@ def session_of(
             rough=None,
             limits=LIMITS,
             period=NS_PER_MS,
+            controller={},
         ),
         told=SimpleNamespace(position_rad=math.tau / 4096),
         position_rad=math.tau / 4096,
