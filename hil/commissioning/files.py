@@ -7,12 +7,13 @@ from typing import Any, Final
 
 from canopen.objectdictionary import ObjectDictionary, ODVariable
 
-from servobench.drivers.canopen.data_types import SIGNED_BITS, DataType
+from servobench.drivers.canopen.data_types import DataType
 from servobench.drivers.canopen.objects301 import MANDATORY, MANUFACTURER
 from servobench.drivers.cia402.drive_setup import Identity
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import BENCH_MODES, Mode, QuickStopOption, run_words
 from servobench.drivers.rotation import RAD_S_PER_RPM, RPM_PER_RAD_S
+from servobench.drivers.sheets.value_text import value_text
 from servobench.hil.commissioning.findings import LOSSES_MAX, Findings
 from servobench.hil.commissioning.rehearsal import (
     copied_files,
@@ -377,19 +378,11 @@ def _variable(title: str, name: str, value: bytes | None, default: bytes | None,
         "ObjectType": "0x7",
         "DataType": f"0x{data_type:04X}",
         "AccessType": getattr(entry, "access_type", "rw" if value is not None else "ro"),
-        "DefaultValue": "" if default is None else _text(default, data_type),
+        "DefaultValue": "" if default is None else value_text(default, data_type),
     }
     if value is not None:
-        entries["ParameterValue"] = _text(value, data_type)
+        entries["ParameterValue"] = value_text(value, data_type)
     return _section(title, {**entries, "PDOMapping": 0})
-
-
-def _text(value: bytes, data_type: int) -> str:
-    if data_type == DataType.OCTET_STRING:
-        return value.hex()
-    signed = data_type in SIGNED_BITS
-    number = int.from_bytes(value, "little", signed=signed)
-    return str(number) if signed else f"0x{number:X}"
 
 
 def _section(title: str, entries: dict[str, Any]) -> list[str]:

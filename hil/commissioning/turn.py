@@ -194,7 +194,8 @@ def _search(session: Session, limit_s: float) -> _Homing | None:
                 settled = settled + 1 if ended else 0
                 if settled > _SETTLED and passed_rad is not None:
                     return _Homing(jump, abs(reading.position_rad - passed_rad))
-        still.refuse(network.clock.now())
+            if passed_rad is None:
+                still.refuse(network.clock.now())
         return None
     finally:
         control.set_bits(_START, 0)

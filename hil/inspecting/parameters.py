@@ -7,14 +7,13 @@ domains are none: they say what a drive does at this moment, or change by themse
 import io
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable, export_od
 
-from servobench.drivers.canopen.data_types import REAL_BITS, SIGNED_BITS, TIME_BITS, UNSIGNED_BITS, DataType
+from servobench.drivers.canopen.data_types import DataType
 from servobench.drivers.canopen.network import CanopenNetwork
 from servobench.drivers.canopen.objects301 import Cia301, object_name
 from servobench.drivers.cia402.drive_setup import Identity
@@ -22,6 +21,7 @@ from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.servo import ServoDrive
 from servobench.drivers.errors import BadInput, PeerFault, TransferAborted
 from servobench.drivers.sheets.dictionary import load_dictionary, told_identity, variables_in
+from servobench.drivers.sheets.value_text import NUMBERS, is_kept, value_text
 from servobench.drivers.timebase import NS_PER_S, Duration
 
 Place = tuple[int, int]
@@ -43,8 +43,6 @@ NO_PARAMETERS: Final = frozenset(
 )
 _CONNECT_NS: Final = Duration(2 * NS_PER_S)
 """Somebody waits at the terminal, and a drive that is on answers at once."""
-_TEXTS: Final[Mapping[int, str]] = {DataType.VISIBLE_STRING: "ascii", DataType.UNICODE_STRING: "utf_16_le"}
-_NUMBERS: Final = SIGNED_BITS | UNSIGNED_BITS | TIME_BITS
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +98,7 @@ def read_parameters(
         except TransferAborted as error:
             unread[place] = str(error)
             continue
-        if _is_kept_by_a_dcf(value, variable.data_type):
+        if is_kept(value, variable.data_type):
             values[place] = value
         else:
             unread[place] = f"a DCF cannot hold its text {value!r}"
@@ -177,48 +175,12 @@ def parameters_in(dictionary: ObjectDictionary) -> Iterator[ODVariable]:
             yield variable
 
 
-def value_text(value: bytes, data_type: int | None) -> str:
-    """Return a value as CiA 306-1 writes it: numbers in decimal, those without sign in hexadecimal, text as
-    it is, all else as bytes in hexadecimal."""
-    if data_type in REAL_BITS and len(value) == REAL_BITS[DataType(data_type)] // 8:
-        return repr(ODVariable.STRUCT_TYPES[data_type].unpack(value)[0])
-    if data_type in _NUMBERS and value:
-        signed = data_type in SIGNED_BITS
-        number = int.from_bytes(value, "little", signed=signed)
-        return str(number) if signed else f"0x{number:0{2 * len(value)}X}"
-    text = _text_of(value, data_type)
-    return value.hex().upper() if text is None else text
-
-
-def _text_of(value: bytes, data_type: int | None) -> str | None:
-    """Return a text without the zeros that fill it up; None for another type, and for what is no text."""
-    coding = _TEXTS.get(data_type or 0)
-    with suppress(UnicodeDecodeError):
-        return None if coding is None else value.decode(coding).rstrip("\0")
-    return None
-
-
-def _is_kept_by_a_dcf(value: bytes, data_type: int | None) -> bool:
-    """Return False for a text that a line of a DCF would change: it ends at a semicolon, is trimmed, and has
-    no escapes."""
-    if data_type not in _TEXTS:
-        return True
-    text = _text_of(value, data_type)
-    return (
-        text is not None
-        and text.isascii()
-        and text.isprintable()
-        and text == text.strip()
-        and ";" not in text
-    )
-
-
 def _encoded(variable: ODVariable, path: Path) -> bytes:
     place = object_name(variable.index, variable.subindex)
     value: Any = variable.value
     try:
-        if variable.data_type in _NUMBERS and isinstance(value, int):
-            length = -(-_NUMBERS[DataType(variable.data_type)] // 8)
+        if variable.data_type in NUMBERS and isinstance(value, int):
+            length = -(-NUMBERS[DataType(variable.data_type)] // 8)
             return value.to_bytes(length, "little", signed=value < 0)
         return bytes(variable.encode_raw(value))
     except (OverflowError, TypeError, ValueError) as error:

@@ -109,14 +109,14 @@ def test_what_differs_is_named_with_both_values(saved: dict[str, Any], bus: str,
     at = text.index("ParameterValue", text.index("[6072]"))
     line = text[at : text.index("\n", at)]
     other = tmp_path / "other.dcf"
-    other.write_text(text[:at] + "ParameterValue=0x0123" + text[at + len(line) :])
+    other.write_text(text[:at] + "ParameterValue=0x123" + text[at + len(line) :])
     for words in ((other, saved["path"]), (other, "--bus", bus, "--node", NODE)):
         done = run("diff", *words, "--json")
         told = json.loads(done.stdout)
         assert done.returncode == 1
         (difference,) = told["differences"]
         assert difference["object"] == "6072h:00"
-        assert (difference["first"], difference["second"]) == ("0x0123", line.partition("=")[2])
+        assert (difference["first"], difference["second"]) == ("0x123", line.partition("=")[2])
         assert difference["name"] in run("diff", *words).stdout
 
 

@@ -118,11 +118,6 @@ class FaultPlan:
     def _tables(self) -> tuple[FaultTable, ...]:
         return *self._on_links, *self.node_faults, *self.host_stalls, *self.outages
 
-    @property
-    def span(self) -> Duration:
-        """When the last window opens or closes, ns after time zero."""
-        return max((edge for fault in self._tables for edge in fault.edges_ns), default=Duration(0))
-
     def idle(self, nodes: Set[int], duration: Duration) -> Iterator[tuple[str, str]]:
         """Yield each table that never acts in a run of ``duration``, ns, on a bus with ``nodes``: its key in
         the file, and why."""

@@ -49,10 +49,10 @@ def arm(share: float, phase_rad: float) -> DriveParameters:
     )
 
 
-def stops(rad: float) -> DriveParameters:
+def stops(turns: float) -> DriveParameters:
     def made(motor: PmsmParameters) -> Mechanism:
         stiffness = motor.inertia_kg_m2 * (math.tau * 60.0) ** 2
-        return Mechanism(load=PlacedLoad(stops=EndStops(-rad, rad, stiffness, 0.1)))
+        return Mechanism(load=PlacedLoad(stops=EndStops(-turns, turns, stiffness, 0.1)))
 
     return machine(made)
 
@@ -73,10 +73,11 @@ def ended(result: Commissioned) -> tuple[str, str]:
         (arm(0.3, math.pi / 2.0), "watchdog", "the shaft turned down by 0.011 turns by itself"),
         (arm(0.1, 0.3), "polarity", "the shaft turned down by 0.061 turns by itself; 27.2 r/min from rest"),
         (stops(0.1), "polarity", "the shaft ran against something 0.101 turns up"),
+        (stops(0.8), "turn", "no turn could be measured; the shaft turned, and stood before an index pulse"),
         (stops(2.0), "mechanics", "the shaft ran against something 0.394 turns up"),
         (stops(10.0), "mechanics", "the shaft ran against something"),
     ],
-    ids=["weight", "heavy", "pulled", "arm", "low arm", "near stops", "stops", "far stops"],
+    ids=["weight", "heavy", "pulled", "arm", "low arm", "near stops", "within a turn", "stops", "far stops"],
 )
 def test_the_first_step_that_cannot_be_right_says_why(
     drive: DriveParameters, step: str, told: str, tmp_path: Path

@@ -11,12 +11,12 @@ from canopen.objectdictionary import ObjectDictionary, ODVariable
 
 from servobench.drivers.canopen.data_types import BITS, REAL_BITS, DataType
 from servobench.drivers.cia402.drive_setup import Identity
+from servobench.drivers.sheets.value_text import value_text
 from servobench.hil.inspecting.parameters import (
     ParameterSet,
     configuration_text,
     differences,
     parameters_of,
-    value_text,
 )
 
 IDENTITY = Identity("a drive", 0xA11, 0xB22, 3, 4, 0x20192)
@@ -85,7 +85,7 @@ def test_what_only_one_of_two_has_differs() -> None:
     first, second = {(0x2000, 0): b"\1", (0x2001, 0): b"\0"}, {(0x2001, 0): b"\1", (0x2002, 0): b"\1"}
     found = differences(held(first), held(second, "another"))
     assert [(each.place[0], each.first, each.second) for each in found] == [
-        (0x2000, "0x01", ""),
-        (0x2001, "0x00", "0x01"),
-        (0x2002, "", "0x01"),
+        (0x2000, "0x1", ""),
+        (0x2001, "0x0", "0x1"),
+        (0x2002, "", "0x1"),
     ]

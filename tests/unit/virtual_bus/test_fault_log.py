@@ -271,6 +271,5 @@ def test_a_file_is_read_line_by_line(tmp_path: Path) -> None:
     ]
     assert faults.node_kinds == ("bus_off", "drive_fault", "clock_step", "late", "boot", "host_stall")
     assert faults.drives_struck == {1, 127}
-    assert faults.span == 5
     with pytest.raises(BadInput, match="not found"):
         read_recorded(tmp_path / "none.jsonl")
