@@ -118,6 +118,14 @@ def test_a_ramp_is_made_steeper_where_the_shaft_does_not_move_by_its_unit(tmp_pa
     assert result.moved
 
 
+@pytest.mark.parametrize("period_us", ["2000", "4000"])
+def test_the_own_loops_of_a_drive_are_no_load_that_drives_the_shaft(period_us: str, tmp_path: Path) -> None:
+    """They turn it by pulses of torque that a reading of each cycle misses."""
+    sheet = made_sheet(["6502h with interpolated position only"], tmp_path)
+    result = rehearsed(sheet, tmp_path, ["--period-us", period_us], last_step="stop_proof")
+    assert (result.reason, result.not_done, result.moved) == ("", {}, True)
+
+
 MODES = {
     "6502h is 43h, 6060h 7": "velocity",
     "6502h with interpolated position only": "interpolated_position",

@@ -69,3 +69,8 @@ def test_a_step_hides_in_what_echoes_are_late() -> None:
     """By -1499 us, SYNCs 2 ms apart and echoes up to 596 us late: stamps lay on the SYNCs before their own,
     whose delays were unusual for a step by whole periods; 399 rows were of other SYNCs."""
     assert verdict_of(460054, 280).readings.uncertain <= 60
+
+
+def test_late_echoes_leave_a_question_open_no_longer_than_they_must() -> None:
+    """Without what they may be off 75 rows of 1500 are in doubt, with four times as much 95."""
+    assert verdict_of(450173, 1500).readings.uncertain <= 60

@@ -155,6 +155,18 @@ def test_a_file_that_was_cut_off_has_its_whole_batches_and_more_are_put_behind(
     assert [frame.number for frame in RecordedBus(tmp_path)] == list(range(1, 1_001))
 
 
+def test_frames_cut_off_are_told_by_a_trace_and_not_exported(tmp_path: Path) -> None:
+    path = recorded(tmp_path, drawn(1_000)) / "frames.arrow"
+    path.write_bytes(path.read_bytes()[:-40])
+    words = ["export", str(tmp_path), "--to", "log", "--out", str(tmp_path / "out.log"), "--unsealed"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 2
+    assert "frames.arrow: found 'no end of the file'" in done.stderr
+    assert not (tmp_path / "out.log").exists()
+    traced = CliRunner().invoke(app, ["trace", str(tmp_path), "--unsealed"])
+    assert (traced.exit_code, "frames.arrow has no end; told as far as it goes" in traced.output) == (0, True)
+
+
 def test_a_batch_that_finds_no_room_leaves_whole_ones(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,7 +11,7 @@ from canopen.objectdictionary import ObjectDictionary, ODVariable
 
 from servobench.drivers.canopen.data_types import BITS, REAL_BITS, DataType
 from servobench.drivers.cia402.drive_setup import Identity
-from servobench.drivers.sheets.value_text import value_text
+from servobench.drivers.sheets.value_text import is_kept, value_text
 from servobench.hil.inspecting.parameters import (
     ParameterSet,
     configuration_text,
@@ -71,6 +71,30 @@ def test_each_value_comes_back_bit_for_bit(seed: int, tmp_path: Path) -> None:
                 if again.values.get(place, b"") != value} == {}  # fmt: skip
         assert differences(held(values), again) == []
         assert again.device == (frozenset((0xA11,)), frozenset((0xB22,)))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_text_is_kept_if_a_line_of_the_file_gives_it_back(seed: int, tmp_path: Path) -> None:
+    draw, path = random.Random(seed), tmp_path / "drive.dcf"
+    place = (0x2000 + 8 * KINDS.index(DataType.VISIBLE_STRING), 0)
+    kept = set()
+    for text in [
+        "plain",
+        " x",
+        "x;y",
+        "x ",
+        "\tx",
+        *("".join(draw.choices("ab ;\t=[", k=3)) for _ in range(40)),
+    ]:
+        value = text.encode()
+        whole = {place: value, (0x2000, 0): b"\1"}
+        path.write_text(configuration_text(held(whole), dictionary_of(8), IDENTITY, 500_000))
+        assert is_kept(value, DataType.VISIBLE_STRING) <= (parameters_of(path).values.get(place) == value), (
+            text
+        )
+        kept.add(is_kept(value, DataType.VISIBLE_STRING))
+    assert kept == {True, False}
+    assert is_kept(b";", DataType.OCTET_STRING)
 
 
 def test_numbers_are_written_as_cia_306_has_them() -> None:
