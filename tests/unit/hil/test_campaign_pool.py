@@ -1,29 +1,24 @@
-"""Who runs which runs of a campaign, and in which order their rows leave; with plans and workers made up."""
+"""Who runs which runs of a campaign, and in which order their rows leave; with workers made up."""
 
+import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S
 from servobench.hil.campaign import pool
-from servobench.hil.campaign.identity import SourceFiles
+from servobench.hil.campaign.plan import CampaignPlan
 from servobench.hil.campaign.pool import Chunks, RunRefused, WorkerDied, WorkerPool, rows_of
 from servobench.hil.machine.stopping import Interrupted, StopRequest
+from tests.unit.hil.made_campaigns import INERTIA, plan_of
 
 
-def plan(known: int = 10_000, source: Path = Path("sweep.toml")) -> Any:
-    """Of which run n draws 10 n."""
-    return SimpleNamespace(
-        known=known,
-        identity="abc",
-        source=source.absolute(),
-        files=SourceFiles(source),
-        drawn=lambda number: 10 * number,
-    )
+def plan() -> CampaignPlan:
+    """Each of its runs draws another inertia."""
+    return plan_of(seeds=10_000, draw=[INERTIA])
 
 
 def answer(number: int, took_ns: int = NS_PER_S) -> dict[str, Any]:
@@ -31,9 +26,10 @@ def answer(number: int, took_ns: int = NS_PER_S) -> dict[str, Any]:
 
 
 def test_the_first_chunks_are_one_run_each() -> None:
-    chunks = Chunks(plan(), range(5, 9))
+    planned = plan()
+    chunks = Chunks(planned, range(5, 9))
     assert [chunks.next(1) for _ in range(5)] == [[5], [6], [7], [8], None]
-    assert chunks.drawn([5, 7]) == [[5, 50], [7, 70]]
+    assert chunks.drawn([5, 7]) == [[5, planned.drawn(5)], [7, planned.drawn(7)]]
 
 
 def test_rows_leave_in_order_of_their_number() -> None:
@@ -85,11 +81,12 @@ def test_nobody_runs_far_ahead_of_a_row_that_is_missing(workers: int, most: int)
 
 
 def test_what_depends_on_rows_waits_for_them() -> None:
-    waiting = plan(known=2)
-    chunks = Chunks(waiting, range(4))
-    assert [chunks.next(1) for _ in range(3)] == [[0], [1], None]
-    waiting.known = 4
-    assert [chunks.next(1) for _ in range(3)] == [[2], [3], None]
+    waiting = plan_of(seeds=60, draw=[INERTIA], adaptive={"guide": "torque_rms_nm", "round_runs": 20})
+    chunks = Chunks(waiting, range(18, 60))
+    assert [chunks.next(1) for _ in range(3)] == [[18], [19], None]
+    assert waiting.rounds is not None
+    waiting.rounds.take({"run": number, "torque_rms_nm": 1.0, "passed": True} for number in range(20))
+    assert [chunks.next(1) for _ in range(2)] == [[20], [21]]
 
 
 def test_what_a_worker_left_comes_first() -> None:
@@ -124,7 +121,7 @@ def first(name):  # whether this process is the first to come here
     return True
 
 asked = json.loads(sys.stdin.readline())
-assert asked["identity"] == "abc" and os.path.isabs(asked["sweep"])
+assert set(asked["identity"]) == {{"sweep", "program", "files"}} and os.path.isabs(asked["sweep"])
 {before}
 tell({{"ready": True}})
 for line in sys.stdin:
@@ -166,7 +163,10 @@ def run(numbers: range, count: int, stop: StopRequest | None = None) -> list[dic
 def test_rows_of_several_workers_come_in_order(workers: Any) -> None:
     started = workers()
     rows = run(range(3, 15), 2)
-    assert [(row["run"], row["drawn"]) for row in rows] == [(number, 10 * number) for number in range(3, 15)]
+    planned = plan()
+    assert [(row["run"], row["drawn"]) for row in rows] == [
+        (number, json.loads(json.dumps(planned.drawn(number)))) for number in range(3, 15)
+    ]
     assert len(started) == 2
     assert {row["by"] for row in rows} <= {worker.process.pid for worker in started}
 
@@ -212,20 +212,13 @@ def test_three_in_a_row_that_are_killed_at_their_start_are_no_accident(workers: 
     assert len(started) == 3
 
 
-def test_a_worker_that_is_ready_ends_a_row_of_lost_starts() -> None:
-    made = WorkerPool(plan(), 1, StopRequest())
-    worker: Any = SimpleNamespace(ready=False)
-    for _ in range(2):
-        for _ in range(2):
-            made._count_start(-9)
-        made._take(worker, {"ready": True}, Chunks(plan(), range(1)))
-    assert worker.ready
-    made._count_start(-9)
-    made._count_start(-9)
-    with pytest.raises(
-        WorkerDied, match="3 workers in a row died before their first run, the last with status -9"
-    ):
-        made._count_start(-9)
+def test_a_worker_that_is_ready_ends_a_row_of_lost_starts(workers: Any) -> None:
+    """Two starts are lost, then a worker dies in its second run, then two starts more."""
+    late = "(Path(__file__).parent / 'was ready').exists() and (first('c') or first('d'))"
+    before = f"{KILL} if first('a') or first('b') or ({late}) else None"
+    started = workers(before=before, each=f"if number == 1 and first('was ready'): {KILL}")
+    assert [row["run"] for row in run(range(3), 1)] == [0, 1, 2]
+    assert len(started) == 6
 
 
 def test_who_asks_for_the_end_gets_it(workers: Any) -> None:
