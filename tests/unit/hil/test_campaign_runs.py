@@ -17,6 +17,7 @@ from servobench.hil.campaign.plan import CampaignPlan
 from servobench.hil.campaign.statistics import anytime
 from servobench.hil.campaign.worker import FIGURES, NotTheSame
 from servobench.hil.configuration.config_files import toml_text
+from tests.unit.hil.made_campaigns import plan_of
 from tests.unit.hil.test_campaign_plan import LOSS, tables
 
 pytestmark = pytest.mark.usefixtures("forked_children")
@@ -335,9 +336,9 @@ def test_a_run_that_is_not_there_is_not_repeated(
 
 
 def rule(points: int, width: float | None, against_certificate: bool = False) -> Enough:
-    stop = SimpleNamespace(rate_width=width, confidence=0.9)
-    plan: Any = SimpleNamespace(points=points, sweep=SimpleNamespace(stop=stop))
-    return Enough(plan, against_certificate)
+    stop = {"confidence": 0.9} if width is None else {"confidence": 0.9, "rate_width": width}
+    losses = {"key": KEY, "values": [place / 8.0 for place in range(points)]}
+    return Enough(plan_of(stop=stop, vary=[losses]), against_certificate)
 
 
 def at(run: int, passed: bool = True, points: int = 1, certificate: str = "") -> dict[str, Any]:

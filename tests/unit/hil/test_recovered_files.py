@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from errno import ENOSPC
 from pathlib import Path
+from struct import Struct
 from types import SimpleNamespace
 from typing import Any, Final, cast
 
@@ -18,6 +19,7 @@ from servobench.hil.recording import rerun_anew
 from servobench.hil.recording.append_file import TAIL_FILE
 from servobench.hil.recording.log_files import EventsKeeper, FramesKeeper, RecordsKeeper
 from servobench.hil.recording.recovery import recover
+from servobench.hil.recording.ring import RingReader, RingWriter
 from servobench.hil.recording.run_folder import Reserve, read_summary
 from servobench.hil.recording.sealer import Sealer
 from servobench.hil.recording.whole_records import Rings, first_cycle, whole_records
@@ -26,12 +28,14 @@ from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.hil.rows.records_file import is_whole, read_metadata, read_records
 from servobench.hil.rows.side_rows import (
+    EVENT_DTYPE,
     BeginEvent,
     IdentityEvent,
     LoadEvent,
     RunEvent,
     StateEvent,
     TextEvent,
+    event_row,
 )
 from servobench.virtual_bus.faults.fault_log import KIND_CODES
 from tests.rrd_columns import columns, numbers
@@ -46,6 +50,19 @@ BEGIN: Final = Instant(3 * NS_PER_MS)
 COUNT: Final = 60
 
 
+def ring(rows: NDArray[np.void], taken: int = 0, refused: int = 0) -> int:
+    """The descriptor of a ring that was full once, if rows were ``refused``."""
+    shape, capacity = Struct(f"{rows.dtype.itemsize}s"), 128
+    writer = RingWriter(shape, capacity)
+    taken = capacity if refused else taken
+    for _ in range(taken + refused):
+        writer.push(bytes(shape.size))
+    RingReader(writer.descriptor, rows.dtype).drain()
+    for row in rows:
+        assert writer.push(row.tobytes())
+    return writer.descriptor
+
+
 def rings(
     rows: Rows = NO_ROWS,
     frames: NDArray[np.void] = NO_FRAMES,
@@ -54,17 +71,10 @@ def rings(
     rows_before: int = 0,
     refused: int = 0,
 ) -> Rings:
-    """What a dead logger had not taken."""
-    fault_blocks = np.empty(0, BLOCK_DTYPE) if faults is None else faults
-    found = SimpleNamespace(
-        rows=rows,
-        frames=frames,
-        events=list(events),
-        fault_blocks=fault_blocks,
-        rows_before=rows_before,
-        refused=refused,
-    )
-    return cast(Rings, found)
+    """What a dead logger had not taken; the rings end with the process."""
+    blocks_left = np.empty(0, BLOCK_DTYPE) if faults is None else faults
+    told = np.frombuffer(b"".join(map(event_row, events)), EVENT_DTYPE)
+    return Rings(ring(rows, rows_before), ring(frames), ring(told), ring(blocks_left, refused=refused))
 
 
 @pytest.fixture

@@ -3,8 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import numpy as np
 import pytest
@@ -31,29 +30,30 @@ def signal(*values: float) -> Envelope:
 def meter(
     *errors: float,
     settling: Sequence[tuple[int, int]] = (),
-    peak: float = 0.0,
+    peak: float | None = None,
     loaded: Sequence[tuple[int, int, float]] = (),
-) -> Any:
+) -> dict[str, Any]:
     """Of an error; of a speed the largest reference is ``peak``, and ``loaded`` where a load changed."""
-    return SimpleNamespace(
-        counted=signal(*errors), settling=list(settling), reference_peak=peak, loaded=list(loaded)
-    )
+    told = {"counted": signal(*errors), "settling": list(settling)}
+    return told if peak is None else {**told, "reference_peak": peak, "loaded": list(loaded)}
 
 
 def figures(
     signals: Mapping[str, Sequence[float]] | None = None,
-    speed: Any = None,
-    position: Any = None,
+    speed: dict[str, Any] | None = None,
+    position: dict[str, Any] | None = None,
     axis: AxisPlan | None = None,
     **limits: float | None,
 ) -> WholeFigures:
     """Of one axis with a deadline of 2 ms. ``signals``: by the path below it."""
-    plan = plan_for(Path())
     one = axis or AxisPlan("axis1", 1.0, rated_torque_nm=2.0)
-    review = ReviewPlan((one,), VerdictLimits(**limits))
-    seen = SimpleNamespace(errors=[speed or meter()], positions=[position or meter()])
+    plan = replace(plan_for(Path()), review=ReviewPlan((one,), VerdictLimits(**limits)))
+    seen = Review(plan.review)
+    for shown, told in ((seen.errors[0], speed), (seen.positions[0], position)):
+        for name, value in (told or meter()).items():
+            setattr(shown, name, value)
     envelopes = {f"/axis1/{path}": signal(*values) for path, values in (signals or {}).items()}
-    return WholeFigures(replace(plan, review=review), envelopes, cast(Review, seen))
+    return WholeFigures(plan, envelopes, seen)
 
 
 @pytest.mark.parametrize(
