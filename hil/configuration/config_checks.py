@@ -23,6 +23,8 @@ from servobench.hil.configuration.references import Load, LoadStep, SignalFile, 
 from servobench.hil.loop.scenario import Quantity
 from servobench.virtual_bus.drive.field import NO_FIELD, speed_without_load_rad_s
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.kinds.chopper_off import ChopperOff
+from servobench.virtual_bus.faults.kinds.loose_coupling import LooseCoupling
 
 LOAD_DELAY_MAX_S = (1 << 32) * NS_PER_US // NS_PER_S
 """Range of 2100h:5, 32 bits of microseconds."""
@@ -53,7 +55,18 @@ def idle_faults(config: BenchConfig) -> Iterator[str]:
         entry.can_id & NODE_BITS for _, _, segment in _every_segment(config) for entry in segment.background
     }
     duration = duration_s(config.bench.duration_s)
-    yield from (f"faults.{place}: {why}" for place, why in config.faults.idle(nodes, duration))
+    parts = {drive.node: set(_parts(drive)) for drive in config.drive.values()}
+    yield from (f"faults.{place}: {why}" for place, why in config.faults.idle(nodes, duration, parts))
+
+
+def _parts(drive: DriveConfig) -> Iterator[str]:
+    """Yield the parts of a simulated drive that a fault can strike and others lack."""
+    like, turning = drive.simulation.like, drive.simulation.motor or drive.motor
+    if like is not None and like.supply is not None and like.supply.chopper is not None:
+        yield ChopperOff.needs_part
+    mechanism = turning.parameters.mechanism
+    if mechanism is not None and mechanism.coupling is not None:
+        yield LooseCoupling.needs_part
 
 
 def _nodes(config: BenchConfig) -> Iterator[Fault]:

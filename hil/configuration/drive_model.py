@@ -134,6 +134,10 @@ class ProtectionTable(Section):
     """Amplitude of the current as A rms: fault 2310h."""
     overload: OverloadTable | None = None
     """The table [protection.overload]; fault 2350h."""
+    winding_max_c: float | None = Field(default=None, ge=20.0, le=250.0)
+    """Greatest temperature that the motor's sensor may tell: fault 4310h."""
+    missing_counts_max: int | None = Field(default=None, ge=1, le=2**30)
+    """Encoder counts that may be missing between two index pulses: fault 7305h."""
 
     @model_validator(mode="after")
     def _check_band(self) -> Self:
@@ -150,6 +154,8 @@ class ProtectionTable(Section):
             self.under_voltage_v,
             self.over_current_a_rms,
             None if self.overload is None else self.overload.parameters,
+            self.winding_max_c,
+            self.missing_counts_max,
         )
 
 

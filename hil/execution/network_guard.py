@@ -43,9 +43,8 @@ from servobench.hil.loop.scenario import Quantity
 from servobench.hil.rows.recording_plan import CertifiedPlan
 from servobench.virtual_bus.drive.encoder import SpeedMethod
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
-from servobench.virtual_bus.faults.kinds.drive_fault import DriveFault
-from servobench.virtual_bus.faults.kinds.safe_torque_off import SafeTorqueOff
-from servobench.virtual_bus.faults.kinds.supply_sag import SupplySag
+from servobench.virtual_bus.faults.node_fault import NodeFault
+from servobench.virtual_bus.faults.register import TABLES
 
 REMEDY: Final = (
     "design for this network and drive with hil design speed --network --bench, or run with "
@@ -198,7 +197,9 @@ class NetworkGuard:
         self.tell(text)
 
 
-_ON_THE_DRIVE: Final = (DriveFault.kind, SafeTorqueOff.kind, SupplySag.kind)
+_ON_THE_DRIVE: Final = tuple(
+    kind for kind, table in TABLES.items() if issubclass(table, NodeFault) and table.strikes_plant
+)
 """Faults of a plan that do not concern the network."""
 
 

@@ -51,6 +51,7 @@ INJECTED = {
     "refused_mapping": {"refused_mapping"},
     "repeated_emergency": {"repeated_emergency"},
     "supply_sag": {"supply_sag"},
+    "damage": {"chopper_off", "dragging_brake", "hot_motor", "dirty_encoder", "loose_coupling"},
     "signals": {"signal_noise", "signal_scale", "signal_offset", "signal_nowhere"},
 }
 

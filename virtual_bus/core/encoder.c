@@ -2,7 +2,8 @@
 
    The angle is that of a moment ago (the line's delay), swings once a turn (eccentricity of the disc), and once
    and twice a line (offsets, amplitudes and phase of sine and cosine). Within a period the shaft's path is a
-   parabola through both its ends with the speeds there. */
+   parabola through both its ends with the speeds there. Dirt on the disc hides edges: their counts are lost for good,
+   and an index pulse once a turn tells how many. */
 #include "encoder.h"
 
 #include <math.h>
@@ -78,6 +79,33 @@ Place encoder_sees(EncoderState *state, const Encoder *p, Place shaft, double sp
     return moved(shaft, error - late);
 }
 
+/* Of the counts from 0 to `count` those that the dirt covers. */
+static double counts_in_dirt(const Encoder *p, const Resolution *resolution, double count)
+{
+    double turns = floor(count / resolution->counts);
+    return turns * p->dirt_width + within(count - turns * resolution->counts - p->dirt_from, 0.0, p->dirt_width);
+}
+
+double count_seen(EncoderState *state, const Encoder *p, const Resolution *resolution, double count)
+{
+    if (p->dirt_width > 0.0) {
+        double dirty = counts_in_dirt(p, resolution, count);
+        if (state->soiled != 0.0)
+            state->lost += dirty - state->dirty;
+        state->dirty = dirty;
+        state->soiled = 1.0;
+    } else {
+        state->soiled = 0.0;
+    }
+    double turn = floor(count / resolution->counts);
+    if (turn != state->turn) {
+        state->turn = turn;
+        state->missing = state->lost - state->lost_by_turn;
+        state->lost_by_turn = state->lost;
+    }
+    return count - state->lost;
+}
+
 /* The share of a period at which a path of length `passed` with that bend is `ahead` of its start. */
 static double share_at(double ahead, double passed, double bent)
 {
@@ -92,7 +120,8 @@ static double share_at(double ahead, double passed, double bent)
 static double edge_time(const EncoderState *state, const Encoder *p, const Resolution *resolution, double edge,
                         Place seen, double tick, double period_s)
 {
-    double ahead = (edge - state->seen.turns * resolution->counts) * resolution->rad_per_count - state->seen.angle_rad;
+    double turned = edge + state->lost - state->seen.turns * resolution->counts;
+    double ahead = turned * resolution->rad_per_count - state->seen.angle_rad;
     double bent = bend(state->seen_speed_rad_s, state->shaft_speed_rad_s, period_s);
     double at_s = (tick - 1.0 + share_at(ahead, way(state->seen, seen), bent)) * period_s;
     return p->timer_hz > 0.0 ? floor(at_s * p->timer_hz) / p->timer_hz : at_s;

@@ -16,6 +16,8 @@ typedef struct Encoder {
     double delay_share;                           /* of an inner period: the angle told was that one */
     double timer_hz;                              /* of what times the edges; 0: without steps */
     double observer_position_gain, observer_speed_gain; /* 1/s and 1/s^2 */
+    int loses; /* counts were lost, or are: the disc is dirty */
+    double dirt_from, dirt_width; /* of a turn, counts: where no edge is seen; no width: clean */
 } Encoder;
 
 /* An angle as whole turns and the rest, 0 <= angle_rad < 2 pi. */
@@ -29,6 +31,10 @@ typedef struct EncoderState {
     double speed_rad_s;                    /* as made of the counts */
     double edge, edge_s, edges;            /* the last one: its count, its instant since power-on; 0: none yet */
     double observer_ahead, observer_speed; /* counts beyond the encoder's, counts/s */
+    double lost;                           /* counts, since power-on */
+    double turn, lost_by_turn, missing;    /* the last one begun, with its index pulse; lost until it, and since the one before */
+    double dirty;                          /* counts from 0 on that the dirt covers, at the last tick */
+    double soiled;                         /* 1: that is known */
 } EncoderState;
 
 typedef struct Resolution {
@@ -38,6 +44,9 @@ typedef struct Resolution {
 
 /* Where the encoder sees a shaft that is at `shaft` with that speed. To be called at each tick. */
 Place encoder_sees(EncoderState *state, const Encoder *p, Place shaft, double speed_rad_s, double period_s);
+
+/* The count that is left of `count`, where edges go unseen. To be called at each tick. */
+double count_seen(EncoderState *state, const Encoder *p, const Resolution *resolution, double count);
 
 /* The speed, rad/s, that the drive makes of the count at this tick and the one before. */
 double encoder_speed(EncoderState *state, const Encoder *p, const Resolution *resolution, double count, double before,

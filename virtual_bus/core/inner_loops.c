@@ -28,7 +28,7 @@ static void turn_motor(InnerLoops *self, double load_nm)
     const MotorParameters *p = &self->motor;
     const Output *out = &self->state.now;
     MotorState *shaft = &self->shaft;
-    double brake_nm = self->state.brake_holds * self->loop.brake_nm;
+    double brake_nm = self->loop.brake_drag_nm + self->state.brake_holds * self->loop.brake_nm;
     if (out->on != 0.0) {
         SineCosine turn = sine_cosine(out->angle_rad - p->pole_pairs * shaft->angle_rad);
         Voltage voltage = {
@@ -107,8 +107,10 @@ static double count_encoder(InnerLoops *self)
     }
     if (self->encoder.active)
         place = encoder_sees(&self->sensed, &self->encoder, place, turning_rad_s, self->motor.period_s);
-    if (!self->loop.encoder_held)
-        state->count = place.turns * resolution->counts + floor(place.angle_rad * resolution->counts_per_rad);
+    if (!self->loop.encoder_held) {
+        double count = place.turns * resolution->counts + floor(place.angle_rad * resolution->counts_per_rad);
+        state->count = self->encoder.loses ? count_seen(&self->sensed, &self->encoder, resolution, count) : count;
+    }
     if (self->encoder.active)
         return encoder_speed(&self->sensed, &self->encoder, resolution, state->count, before, place,
                              (double)(self->ticks + 1), self->motor.period_s);
@@ -133,7 +135,7 @@ static double sample(InnerLoops *self)
     const MotorState *shaft = &self->shaft;
     LoopState *state = &self->state;
     double within_turn = floor(shaft->angle_rad * resolution->counts_per_rad), raw_speed;
-    if (self->encoder.active || self->mechanism.encoder_on_load || p->encoder_held) {
+    if (self->encoder.active || self->encoder.loses || self->mechanism.encoder_on_load || p->encoder_held) {
         raw_speed = count_encoder(self);
         if (p->encoder_held || !self->mechanism.encoder_on_load)
             within_turn = state->count - resolution->counts * floor(state->count / resolution->counts);
@@ -305,7 +307,8 @@ static bool may_be_on(InnerLoops *self)
         return on;
     const LoopState *state = &self->state;
     double current_a2 = square(state->current_d_measured_a) + square(state->current_q_measured_a);
-    bool tripped = watch(&self->watched, &self->protection, on, link_voltage(self), current_a2);
+    double missing = self->sensed.missing;
+    bool tripped = watch(&self->watched, &self->protection, on, link_voltage(self), current_a2, missing);
     return on && !tripped;
 }
 
@@ -325,7 +328,8 @@ static void move_brake(LoopState *state, const LoopParameters *p)
 
 /* The work of one inner period; its voltage goes out at the next one, turned on to that one's middle.
 
-   Inverter off: the holding brake closes as soon as the shaft is slow, and opens with the inverter on. */
+   Inverter off: the holding brake closes as soon as the shaft is slow, and opens with the inverter on, but where
+   somebody orders otherwise. */
 static void run_firmware(InnerLoops *self)
 {
     const Demand *demand = &self->demand;
@@ -351,6 +355,8 @@ static void run_firmware(InnerLoops *self)
             angle + 1.5 * self->motor.period_s * self->motor.pole_pairs * state->speed_measured_rad_s;
     }
     state->control = demand->control;
+    if (self->loop.brake_order != BRAKE_BY_STAGE)
+        state->braked = self->loop.brake_order == BRAKE_SET ? 1.0 : 0.0;
     move_brake(state, &self->loop);
 }
 

@@ -23,6 +23,9 @@ enum { LOADS_AT_ONCE = 256 };
 
 typedef enum Control { CONTROL_OFF, CONTROL_TORQUE, CONTROL_SPEED } Control;
 
+/* Who decides about the current of the brake's coil. */
+typedef enum BrakeOrder { BRAKE_BY_STAGE, BRAKE_SET, BRAKE_RELEASED } BrakeOrder;
+
 /* A current controller in state space, x = A x + B e + L cut, v = C x + D e; cut: V that the limits took off. */
 typedef struct CurrentController {
     int order; /* -1: a PI in its place */
@@ -37,6 +40,8 @@ typedef struct LoopParameters {
     double speed_filter, speed_gain, speed_integral_gain, speed_limit_gain;
     double rest_speed_rad_s, brake_nm;
     double brake_open_ticks, brake_close_ticks; /* from its coil's current until it lets go, or holds */
+    double brake_drag_nm; /* of a brake that does not let go wholly */
+    int brake_order;      /* BrakeOrder */
     int encoder_held; /* its line is broken: the count stands still */
     CurrentController controller_d, controller_q;
 } LoopParameters;

@@ -195,6 +195,9 @@ class InnerLoops:
     """I^2 t above the continuous current, A^2 s."""
     warning_a2s: float
     clear_a2s: float
+    winding_max_c: float
+    missing_max: float
+    """Encoder counts that may be missing between two index pulses."""
     overload_trips: int
     watch_period_s: float
 
@@ -227,6 +230,16 @@ class InnerLoops:
     """1/s."""
     observer_speed_gain: float
     """1/s^2."""
+    encoder_loses: int
+    """Not 0: edges go unseen, or did."""
+    dirt_from: float
+    """Where on the disc they do, counts within a turn."""
+    dirt_width: float
+    """0: nowhere."""
+    counts_lost: float
+    """Since power-on."""
+    counts_missing: float
+    """At the last index pulse, since the one before."""
     gain_d: float
     gain_q: float
     integral_gain: float
@@ -243,6 +256,10 @@ class InnerLoops:
     brake_nm: float
     brake_open_ticks: float
     brake_close_ticks: float
+    brake_drag_nm: float
+    """Torque of a brake that does not let go wholly."""
+    brake_order: int
+    """:class:`servobench.virtual_bus.drive.machine.BrakeOrder`."""
     encoder_held: int
     """Not 0: the encoder's line is broken, its count stands still."""
 
@@ -274,6 +291,8 @@ class InnerLoops:
     limiting: float
     """1: the current is limited to the continuous one."""
     warning: float
+    winding_c: float
+    """Temperature that the motor's sensor tells."""
     trip: int
     """:class:`servobench.virtual_bus.drive.power_stage.Trip`; 0 resets."""
 
@@ -297,7 +316,6 @@ class InnerLoops:
     """1: a set-point was cut at a limit."""
     braked: float
     brake_holds: float
-    """1: the brake has closed."""
     """1: the holding brake is closed."""
     @property
     def control(self) -> int:

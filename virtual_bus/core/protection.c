@@ -1,11 +1,15 @@
 /* Trips open the power stage at the tick that sees them, as a comparator beside the processor does; the drive
-   tells of them afterwards. An overload does not: I^2 t above the continuous current adds up, and when the sum
+   tells of them afterwards. A hot motor does not, nor an overload: I^2 t above the continuous current adds up, and when the sum
    is full the drive fails, or limits the current to the continuous one until the sum has fallen. */
 #include "protection.h"
 
+#include <math.h>
+
 #include "limits.h"
 
-static Trip first_trip(const Protection *p, bool on, double link_v, double current_a2)
+static bool opens(int trip) { return trip != TRIP_NONE && trip != TRIP_OVERLOAD && trip != TRIP_MOTOR_HOT; }
+
+static Trip first_trip(const Protection *p, bool on, double link_v, double current_a2, double missing)
 {
     if (link_v > p->over_v)
         return TRIP_OVER_VOLTAGE;
@@ -13,6 +17,8 @@ static Trip first_trip(const Protection *p, bool on, double link_v, double curre
         return TRIP_NONE;
     if (link_v < p->under_v)
         return TRIP_UNDER_VOLTAGE;
+    if (fabs(missing) > p->missing_max)
+        return TRIP_ENCODER;
     return current_a2 > p->over_a2 ? TRIP_OVER_CURRENT : TRIP_NONE;
 }
 
@@ -30,11 +36,13 @@ static void add_up(ProtectionState *state, const Protection *p, double current_a
     }
 }
 
-bool watch(ProtectionState *state, const Protection *p, bool on, double link_v, double current_a2)
+bool watch(ProtectionState *state, const Protection *p, bool on, double link_v, double current_a2, double missing)
 {
     add_up(state, p, current_a2);
-    if (state->trip == TRIP_NONE || state->trip == TRIP_OVERLOAD) {
-        Trip found = first_trip(p, on, link_v, current_a2);
+    if (state->trip == TRIP_NONE && state->winding_c > p->winding_max_c)
+        state->trip = TRIP_MOTOR_HOT;
+    if (!opens(state->trip)) {
+        Trip found = first_trip(p, on, link_v, current_a2, missing);
         if (found == TRIP_NONE)
             return false;
         state->trip = found;

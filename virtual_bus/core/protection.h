@@ -4,7 +4,15 @@
 
 #include <stdbool.h>
 
-typedef enum Trip { TRIP_NONE, TRIP_OVER_VOLTAGE, TRIP_UNDER_VOLTAGE, TRIP_OVER_CURRENT, TRIP_OVERLOAD } Trip;
+typedef enum Trip {
+    TRIP_NONE,
+    TRIP_OVER_VOLTAGE,
+    TRIP_UNDER_VOLTAGE,
+    TRIP_OVER_CURRENT,
+    TRIP_OVERLOAD,
+    TRIP_MOTOR_HOT,
+    TRIP_ENCODER
+} Trip;
 
 typedef struct Protection {
     int active;
@@ -14,6 +22,8 @@ typedef struct Protection {
     double warning_a2s;
     double clear_a2s;   /* below it the continuous current is the limit no more */
     int overload_trips; /* else the current is limited to the continuous one */
+    double winding_max_c;
+    double missing_max; /* encoder counts between two index pulses */
     double period_s;
 } Protection;
 
@@ -21,10 +31,12 @@ typedef struct ProtectionState {
     double overload_a2s;
     double limiting; /* 1: to the continuous current */
     double warning;
+    double winding_c; /* as its sensor has it */
     int trip; /* since the last reset: the first that opened the power stage, or an overload */
 } ProtectionState;
 
-/* At a tick, with the square of the measured current's amplitude, A^2; true if the power stage must be off. */
-bool watch(ProtectionState *state, const Protection *p, bool on, double link_v, double current_a2);
+/* At a tick, with the square of the measured current's amplitude, A^2, and the encoder counts that were missing at
+   the last index pulse; true if the power stage must be off. */
+bool watch(ProtectionState *state, const Protection *p, bool on, double link_v, double current_a2, double missing);
 
 #endif

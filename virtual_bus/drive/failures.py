@@ -49,6 +49,7 @@ class Failures:
     def _forget_trip(self) -> None:
         """The power stage may be on again; what is still there trips once more."""
         self._inner.trip = self._trip = Trip.NONE
+        self._inner.counts_missing = 0.0
 
     def add(self, code: int, register: ErrorRegister) -> None:
         """One more; it is reported."""

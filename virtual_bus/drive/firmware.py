@@ -24,6 +24,7 @@ from servobench.drivers.timebase import NS_PER_S, Instant
 from servobench.virtual_bus.core.native import InnerLoops
 from servobench.virtual_bus.drive.current_bandwidth import current_bandwidth_hz
 from servobench.virtual_bus.drive.current_controller import check_controller, fill_controllers
+from servobench.virtual_bus.drive.damage import Damage
 from servobench.virtual_bus.drive.encoder import (
     BY_DIFFERENCE,
     Encoder,
@@ -227,6 +228,7 @@ class Firmware:
         fill_controllers(self.inner, parameters.controller_d, parameters.controller_q)
         self._set_gains()
         self._set_limits()
+        self.damage = Damage(self.inner, self.machine)
 
     def _turning(self) -> PmsmParameters:
         """The motor as it is; all that the drive reckons goes by the motor as it knows it."""

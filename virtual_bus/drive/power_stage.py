@@ -27,11 +27,13 @@ class Trip(IntEnum):
     UNDER_VOLTAGE = 2
     OVER_CURRENT = 3
     OVERLOAD = 4
+    MOTOR_HOT = 5
+    ENCODER = 6
 
     @property
     def opens(self) -> bool:
         """True if the power stage is off already, so that no ramp can follow."""
-        return self is not Trip.OVERLOAD
+        return self not in (Trip.OVERLOAD, Trip.MOTOR_HOT)
 
 
 TRIP_CODES: Final = {
@@ -39,6 +41,8 @@ TRIP_CODES: Final = {
     Trip.UNDER_VOLTAGE: (0x3220, ErrorRegister.VOLTAGE),
     Trip.OVER_CURRENT: (0x2310, ErrorRegister.CURRENT),
     Trip.OVERLOAD: (0x2350, ErrorRegister.CURRENT),
+    Trip.MOTOR_HOT: (0x4310, ErrorRegister.TEMPERATURE),
+    Trip.ENCODER: (0x7305, ErrorRegister.DEVICE_PROFILE),
 }
 """Error code 603Fh (CiA 402-2, 6.2.3) and its bit of 1001h."""
 
@@ -89,6 +93,9 @@ class Protection:
     under_voltage_v: float | None = None
     over_current_a_rms: float | None = None
     overload: Overload | None = None
+    winding_max_c: float | None = None
+    missing_counts_max: int | None = None
+    """Encoder counts that may be missing between two index pulses."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,6 +199,8 @@ def _fill_protection(inner: InnerLoops, per_rms: float, period_s: float, protect
     inner.over_v = of(protection.over_voltage_v)
     inner.under_v = protection.under_voltage_v or 0.0
     inner.over_a2 = (per_rms * of(protection.over_current_a_rms)) ** 2
+    inner.winding_max_c = of(protection.winding_max_c)
+    inner.missing_max = of(protection.missing_counts_max)
     inner.overload_max_a2s = inner.warning_a2s = math.inf
     inner.watch_period_s = period_s
     overload = protection.overload

@@ -26,6 +26,11 @@ This one the same, but for frames: PDOs, wherever one carries the object.
                      of encoder_loss: detected_after_ms = 2, duration_s = 0.1
     [[safe_torque_off]]  duration_s                                  when
     [[supply_sag]]   to_percent, duration_s                          when
+    [[chopper_off]]  duration_s                                      when
+    [[dragging_brake]]  torque_nm, duration_s                        when
+    [[loose_coupling]]  stiffness_percent, backlash_rad, duration_s  when
+    [[dirty_encoder]]   from_deg, to_deg, duration_s                 when
+    [[hot_motor]]    winding_c, magnet_c, duration_s                 when
     [[clock_step]]   step_us, or step_min_us and step_max_us         when
     [[clock_drift]]  drift_ppm; from_s, until_s
     [[slow_drive]]   sdo_delay_us, tpdo_delay_us, boot_s, or a _min and _max of each
@@ -118,9 +123,11 @@ class FaultPlan:
     def _tables(self) -> tuple[FaultTable, ...]:
         return *self._on_links, *self.node_faults, *self.host_stalls, *self.outages
 
-    def idle(self, nodes: Set[int], duration: Duration) -> Iterator[tuple[str, str]]:
+    def idle(
+        self, nodes: Set[int], duration: Duration, parts: Mapping[int, Set[str]]
+    ) -> Iterator[tuple[str, str]]:
         """Yield each table that never acts in a run of ``duration``, ns, on a bus with ``nodes``: its key in
-        the file, and why."""
+        the file, and why. ``parts``: of the simulated drives."""
         counts = Counter[str]()
         for fault in self._tables:
             place = f"{fault.kind}[{counts[fault.kind]}]"
@@ -131,6 +138,10 @@ class FaultPlan:
                 yield f"{place}.nodes", f"{told}: the bench has none of them, so it never acts"
             elif edges and min(edges) >= duration:
                 yield place, f"it begins at {min(edges) / NS_PER_S:g} s, behind the end, so it never acts"
+            elif (part := getattr(fault, "needs_part", "")) and not any(
+                part in parts.get(node, ()) for node in named or parts
+            ):
+                yield place, f"no drive that it strikes has [{part}], so it never acts"
 
     def as_tables(self) -> dict[str, list[dict[str, Any]]]:
         """The plan as :func:`load_fault_plan` takes it, to be written beside a run."""

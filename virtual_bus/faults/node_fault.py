@@ -45,6 +45,20 @@ class NodeEvent(NamedTuple):
     c: int = 0
 
 
+class DamagedDrive(Protocol):
+    """What can break or wear, see :class:`servobench.virtual_bus.drive.damage.Damage`."""
+
+    def open_chopper(self, opened: bool) -> None: ...
+
+    def drag_brake(self, torque_nm: float) -> None: ...
+
+    def loosen_coupling(self, share: float, backlash_rad: float) -> None: ...
+
+    def soil_encoder(self, from_turn: float, to_turn: float) -> None: ...
+
+    def heat_motor(self, resistance_factor: float, flux_factor: float, winding_c: float = ...) -> None: ...
+
+
 class StruckNode(Protocol):
     """Possible actions of a fault on a node."""
 
@@ -64,6 +78,9 @@ class StruckNode(Protocol):
         """The drive finds an error of its own."""
 
     def hold_encoder(self, held: bool, now: Instant) -> None: ...
+
+    def damage(self, act: Callable[[DamagedDrive], None], now: Instant) -> None:
+        """Something of the drive, or of its machine, breaks or wears, or is whole again."""
 
     def open_sto(self, opened: bool, now: Instant) -> None:
         """Its input for safe torque off."""
@@ -111,6 +128,10 @@ class NodeFault(FaultTable):
     """Empty: each simulated drive, each by its own chance."""
     needs_drive: ClassVar[bool] = False
     """Only a device with a motor inside can have it."""
+    strikes_plant: ClassVar[bool] = False
+    """While it lasts the drive is not the one that a controller was designed for."""
+    needs_part: ClassVar[str] = ""
+    """Table of the drive's or the motor's file whose part it strikes; empty: every drive has it."""
 
     @property
     def stream_name(self) -> str:

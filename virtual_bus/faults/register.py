@@ -7,16 +7,21 @@ from servobench.virtual_bus.faults.fault_table import FaultTable, LogKind
 from servobench.virtual_bus.faults.kinds.blackout import Blackout
 from servobench.virtual_bus.faults.kinds.burst import Burst
 from servobench.virtual_bus.faults.kinds.bus_off import BusOff
+from servobench.virtual_bus.faults.kinds.chopper_off import ChopperOff
 from servobench.virtual_bus.faults.kinds.clock_drift import ClockDrift
 from servobench.virtual_bus.faults.kinds.clock_step import ClockStep
 from servobench.virtual_bus.faults.kinds.corruption import Corruption
 from servobench.virtual_bus.faults.kinds.delay import Delay
+from servobench.virtual_bus.faults.kinds.dirty_encoder import DirtyEncoder
+from servobench.virtual_bus.faults.kinds.dragging_brake import DraggingBrake
 from servobench.virtual_bus.faults.kinds.drive_fault import DriveFault
 from servobench.virtual_bus.faults.kinds.duplicate import Duplicate
 from servobench.virtual_bus.faults.kinds.full_queue import FullQueue
 from servobench.virtual_bus.faults.kinds.host_stall import HostStall
+from servobench.virtual_bus.faults.kinds.hot_motor import HotMotor
 from servobench.virtual_bus.faults.kinds.ignored_commands import IgnoredCommands
 from servobench.virtual_bus.faults.kinds.link_down import LinkDown
+from servobench.virtual_bus.faults.kinds.loose_coupling import LooseCoupling
 from servobench.virtual_bus.faults.kinds.loss import Loss
 from servobench.virtual_bus.faults.kinds.lss_yes_sayer import LssYesSayer
 from servobench.virtual_bus.faults.kinds.measured_delay import MeasuredDelay
@@ -60,6 +65,11 @@ _ALL: Final[tuple[type[FaultTable], ...]] = (
     LinkDown,
     ReceiveOverflow,
     SupplySag,
+    ChopperOff,
+    DraggingBrake,
+    LooseCoupling,
+    DirtyEncoder,
+    HotMotor,
 )
 TABLES: Final = {table.kind: table for table in _ALL}
 """By the name of a plan's tables."""

@@ -26,7 +26,7 @@ from servobench.virtual_bus.device.object_dictionary import Check
 from servobench.virtual_bus.device.sdo_abort import AbortCode
 from servobench.virtual_bus.faults.fates import FateSource, Queue
 from servobench.virtual_bus.faults.fault_log import KIND_CODES, FaultLog
-from servobench.virtual_bus.faults.node_fault import NodeEvent
+from servobench.virtual_bus.faults.node_fault import DamagedDrive, NodeEvent
 from servobench.virtual_bus.faults.node_faults import NodeSource, node_kind
 from servobench.virtual_bus.frame import Frame
 
@@ -275,6 +275,10 @@ class FaultyDevice:
     def hold_encoder(self, held: bool, now: Instant) -> None:
         """Its encoder stands still at its last count, or goes on."""
         self._befall_drive(lambda drive: drive.firmware.hold_encoder(held), now)
+
+    def damage(self, act: Callable[[DamagedDrive], None], now: Instant) -> None:
+        """Something of it, or of its machine, breaks or wears, or is whole again."""
+        self._befall_drive(lambda drive: act(drive.firmware.damage), now)
 
     def open_sto(self, opened: bool, now: Instant) -> None:
         """Its input for safe torque off opens, or closes again."""

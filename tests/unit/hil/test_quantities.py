@@ -94,6 +94,14 @@ def test_the_odd_is_told(path: tuple[Any, ...], value: Any, told: str) -> None:
             "faults.drive_fault[1]: it begins at 7.5 s, behind the end",
         ),
         ({"host_stall": [{"at_s": 3.0, "late_us": 5000}]}, "faults.host_stall[0]: it begins at 3 s"),
+        (
+            {"loose_coupling": [{"at_s": 1.0, "backlash_rad": 0.1, "duration_s": 1.0}]},
+            "faults.loose_coupling[0]: no drive that it strikes has [coupling]",
+        ),
+        (
+            {"chopper_off": [{"at_s": 1.0, "duration_s": 1.0}]},
+            "faults.chopper_off[0]: no drive that it strikes has [supply.chopper]",
+        ),
     ],
 )
 def test_a_fault_that_never_acts_is_told(faults: Any, told: str) -> None:

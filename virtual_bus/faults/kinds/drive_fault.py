@@ -58,6 +58,7 @@ class DriveFault(NodeOccasion):
         ),
     )
     needs_drive = True
+    strikes_plant = True
     fault: Literal["over_current", "over_temperature", "following_error", "encoder_loss", "under_voltage"]
     detected_after_ms: Number = 0.0
     """For an encoder; default 2."""

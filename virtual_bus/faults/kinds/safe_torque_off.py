@@ -11,6 +11,7 @@ class SafeTorqueOff(NodeOccasion):
     kind = "safe_torque_off"
     logs = (node_event("safe_torque_off", LogNumber("duration_ns")),)
     needs_drive = True
+    strikes_plant = True
     duration_s: Lasting
 
     def numbers(self, draw: Draw) -> tuple[int, ...]:  # noqa: ARG002

@@ -20,6 +20,7 @@ class SupplySag(NodeOccasion):
     kind = "supply_sag"
     logs = (node_event("supply_sag", LogNumber("duration_ns"), LogNumber("permille")),)
     needs_drive = True
+    strikes_plant = True
     to_percent: Share
     duration_s: Lasting
 
