@@ -289,6 +289,8 @@ class BrakeTable(Section):
     """From the power stage's switching on until it lets go."""
     close_ms: float = Field(default=0.0, ge=0.0, le=5_000.0)
     """From its switching off, or standstill where that comes later, until it holds."""
+    drive_waits: bool = False
+    """The drive holds its shaft at rest until the brake has opened, or closed, before it goes on."""
 
     @property
     def parameters(self) -> dict[str, float | None]:
@@ -297,6 +299,8 @@ class BrakeTable(Section):
             "brake_torque_nm": self.torque_nm,
             "brake_open_s": self.open_ms / 1000.0,
             "brake_close_s": self.close_ms / 1000.0,
+            "brake_waits": self.drive_waits,
+            "brake_output": True,
         }
 
 

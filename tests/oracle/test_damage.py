@@ -30,7 +30,11 @@ def turning(
     firmware = Firmware(motor, FirmwareParameters(**{"brake_torque_nm": 0.0, **parameters}))
     firmware.start(Instant(0))
     firmware.inner.speed_rad_s = firmware.inner.load_speed_rad_s = speed_rad_s
-    return firmware, lambda time_s: firmware.advance_to(Instant(round(time_s * NS_PER_S))) and None
+
+    def go_to(time_s: float) -> None:
+        firmware.advance_to(Instant(round(time_s * NS_PER_S)))
+
+    return firmware, go_to
 
 
 def test_a_dragging_brake_takes_the_speed_evenly_and_then_holds() -> None:
@@ -99,7 +103,11 @@ def test_a_hot_winding_takes_more_from_the_source_and_hot_magnets_make_less_torq
     for hot in (False, True):
         for brake_nm in (0.0, 100.0):
             supply = Supply(LING.dc_bus_voltage_v, 0.5, 1e-3, feeds_back=True)
-            held = {"supply": supply, "brake_torque_nm": brake_nm, "brake_open_s": 10.0 if brake_nm else 0.0}
+            held: dict[str, Any] = {
+                "supply": supply,
+                "brake_torque_nm": brake_nm,
+                "brake_open_s": 10.0 if brake_nm else 0.0,
+            }
             firmware, go_to = turning(replace(FREE, inertia_kg_m2=1.0), **held)
             go_to(0.01)
             if hot:

@@ -11,7 +11,7 @@ _SHEET_C: Final = 20.0
 
 
 class Damage:
-    """Parts that are as they were made until a call alters one, and again after the one that takes it back."""
+    """Parts of the machine and the power stage; each is as it was made until a call here alters it."""
 
     def __init__(self, inner: InnerLoops, machine: PmsmParameters) -> None:
         """``inner`` is filled already; ``machine``: the motor that turns, with the heat of its file."""

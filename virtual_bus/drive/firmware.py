@@ -149,6 +149,10 @@ class FirmwareParameters:
     """From the power stage's switching on until the brake lets go."""
     brake_close_s: float = 0.0
     """From its switching off, or standstill where that comes later, until the brake holds."""
+    brake_waits: bool = False
+    """The drive holds its shaft until the brake has opened, or has closed."""
+    brake_output: bool = False
+    """It has 60FEh."""
     controller_d: StateSpace | None = None
     """Replaces the PI on i_d: from its error, A, to the voltage, V, at the inner rate."""
     controller_q: StateSpace | None = None

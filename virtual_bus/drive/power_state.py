@@ -71,6 +71,8 @@ STOP_MOTIONS: dict[int, MotorAction] = {
 }
 """Option code -> how the motor stops. The codes of 605Ah; those of the others are among them."""
 
+_ENABLES: Final = 4
+"""Arrow to OPERATION_ENABLED."""
 _AFTER_REST: Final = frozenset({5, 8})
 """Arrows that are taken only when the motor rests."""
 _COMMAND_BITS: Final = 0x90
@@ -79,8 +81,10 @@ _COMMAND_BITS: Final = 0x90
 class PowerStateMachine:
     """State, and what the motor is to do. ``option`` reads an option code; no time and no I/O in here."""
 
-    def __init__(self, option: Callable[[Object], int]) -> None:
+    def __init__(self, option: Callable[[Object], int], holds_first: bool = False) -> None:
+        """``holds_first``: enabled, the motor is held at rest until :meth:`rested`, before it follows."""
         self._option = option
+        self._holds_first = holds_first
         self.revision = 0
         """Counts every change of ``state``, ``motion`` or ``at_rest``."""
         self.torque_off = False
@@ -107,6 +111,16 @@ class PowerStateMachine:
         motion = self.motion
         return motion is not MotorAction.OFF and motion is not MotorAction.FOLLOW and not self.at_rest
 
+    @property
+    def enabling(self) -> bool:
+        """The motor is held at rest before it is allowed to follow."""
+        return self._waiting is not None and self._waiting.number == _ENABLES
+
+    @property
+    def stays(self) -> bool:
+        """At rest the motor goes on being held, in QUICK_STOP."""
+        return self.state is State.QUICK_STOP and self._waiting is None and self._stays_in_quick_stop()
+
     def receive(self, controlword: int) -> None:
         """A controlword was written, a new one or the same again."""
         rising = controlword & ~self._controlword
@@ -117,7 +131,8 @@ class PowerStateMachine:
         bits = controlword & 0x8F
         for arrow in self._open[bits]:
             self._take(arrow)
-        if self._waiting is not None and DriveCommand.ENABLE_OPERATION in commands_in(bits):
+        waits_to_leave = self._waiting is not None and not self.enabling
+        if waits_to_leave and DriveCommand.ENABLE_OPERATION in commands_in(bits):
             self._waiting, self.motion = None, MotorAction.FOLLOW
             self.revision += 1
 
@@ -159,6 +174,10 @@ class PowerStateMachine:
         if arrow.number == 16 and not self._stays_in_quick_stop():
             return
         if arrow.number == 2 and self.torque_off:
+            return
+        if arrow.number == _ENABLES and self._holds_first:
+            self._waiting, self.motion = arrow, MotorAction.QUICK_STOP_RAMP
+            self.revision += 1
             return
         was_moving = self.motion is not MotorAction.OFF
         stop = self._stop_for(arrow) if was_moving else MotorAction.OFF

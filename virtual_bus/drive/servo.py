@@ -35,6 +35,7 @@ from servobench.virtual_bus.drive.axis import REST_S, SimulatedAxis
 from servobench.virtual_bus.drive.deaf_mode import DeafMode, set_points
 from servobench.virtual_bus.drive.failures import COMMUNICATION_ERROR, LOSS_CODES, Failures
 from servobench.virtual_bus.drive.firmware import Firmware, InnerControl
+from servobench.virtual_bus.drive.holding_brake import HoldingBrake
 from servobench.virtual_bus.drive.lacks import take_away
 from servobench.virtual_bus.drive.machine import SimulatedMachine
 from servobench.virtual_bus.drive.motion_objects import MotionObjects
@@ -84,7 +85,8 @@ class ServoApplication(Application):
         dictionary = services.dictionary
         self.objects = objects = ServoObjects(dictionary, self.motor, self.drive, frozenset(MODES))
         motion = MotionObjects(dictionary, self.motor, self.drive)
-        self.power = PowerStateMachine(objects.option)
+        self.power = PowerStateMachine(objects.option, self.drive.brake_waits)
+        self.brake = HoldingBrake(dictionary, self.firmware.inner, self.drive)
         self._failures = Failures(services, objects.error_code, self.firmware.inner)
         counts = self.drive.encoder_counts_per_revolution
         makers = self.drive.makers_units
@@ -134,6 +136,7 @@ class ServoApplication(Application):
                     variable.restore(self._services.node_id)
         self._cycle.wake_at = Instant(now + self._cycle.wake_ns)
         self._failures.forget()
+        self.brake.restart()
         self.hear_again()
         self.power.restart()
         mode = self.objects.mode.value
@@ -145,16 +148,18 @@ class ServoApplication(Application):
         self.units.origin = 0.0
         self.units.take()
         self._take_rating()
-        self._act()
-        self._refresh()
+        self._react()
 
     def advance(self, now: Instant) -> None:
         self._cycle.advance(now)
 
     def _stop_on(self) -> None:
         """The shaft is being brought to rest, and has turned on."""
-        if self.firmware.rested_for_s() >= REST_S:
-            self.power.rested()
+        power, brake = self.power, self.brake
+        if self.firmware.rested_for_s() < REST_S:
+            return
+        if power.stays or (brake.opens() if power.enabling else brake.closes()):
+            power.rested()
             self._act()
 
     def _run_mode(self, now: Instant) -> bool:
@@ -169,7 +174,7 @@ class ServoApplication(Application):
             return False
         self._cycle.wake_at = Instant(now + _WAKE_WHILE_STOPPING_NS)
         if inner.ticks != ticks:
-            self._refresh()
+            self._cycle.refresh()
         return True
 
     def _show_mode(self) -> None:
@@ -178,8 +183,9 @@ class ServoApplication(Application):
             status = _BASE_STATUS[self.power.state] | self._mode.status_bits()
             self._cycle.base_status = status | INTERNAL_LIMIT_ACTIVE if self.axis.limited else status
 
-    def _refresh(self) -> None:
-        """The cyclic values as of the last inner tick."""
+    def _react(self) -> None:
+        """Follow the state machine, with the cyclic values as of the last inner tick."""
+        self._act()
         self._cycle.refresh()
 
     def _tell_protection(self) -> None:
@@ -190,8 +196,7 @@ class ServoApplication(Application):
             self.fail(*TRIP_CODES[trip])
             if trip.opens:
                 self.power.cut_torque()
-                self._act()
-                self._refresh()
+                self._react()
 
     def _act(self) -> None:
         """Let the inner loops and the statusword follow the state machine."""
@@ -224,6 +229,7 @@ class ServoApplication(Application):
         self._cycle.tasked = follows
 
     def _move(self, motion: MotorAction) -> None:
+        self.brake.decide()
         if motion is MotorAction.OFF:
             self.firmware.control(InnerControl.OFF)
         elif motion is MotorAction.FOLLOW:
@@ -236,17 +242,13 @@ class ServoApplication(Application):
         last, self._controlword = self._controlword, controlword
         self.power.receive(controlword)
         if self.power.revision != self._revision:
-            self._leave_fault()
-            self._act()
-            self._refresh()
+            if self.power.state is State.SWITCH_ON_DISABLED:
+                self._failures.clear()
+            self._react()
         elif controlword != last and self._task is not None:
             self._task.receive(controlword)
             self._show_mode()
-            self._refresh()
-
-    def _leave_fault(self) -> None:
-        if self.power.state is State.SWITCH_ON_DISABLED:
-            self._failures.clear()
+            self._cycle.refresh()
 
     def _on_mode(self, mode: int) -> None:
         """0 is "no change" (CiA 402-2, object 6060h)."""
@@ -299,8 +301,7 @@ class ServoApplication(Application):
             if power.torque_off:
                 power.cut_torque()
             power.revision += 1
-            self._act()
-            self._refresh()
+            self._react()
 
     def fail(self, code: int, register: ErrorRegister) -> None:
         """A fault of the drive: EMCY, 603Fh, and arrow 13 with the reaction of 605Eh.
@@ -343,15 +344,14 @@ class ServoApplication(Application):
     def _show_other_mode(self) -> None:
         self._choose_task()
         self._show_mode()
-        self._refresh()
+        self._cycle.refresh()
 
     def _signal_fault(self, code: int) -> None:
         if self.power.state in (State.FAULT, State.FAULT_REACTION):
             return
         self._failures.show(code)
         self.power.signal(DriveEvent.FAULT_DETECTED)
-        self._act()
-        self._refresh()
+        self._react()
 
     def on_communication_loss(self, cause: CommunicationLoss, _node_id: int, _now: Instant) -> None:
         self._abort_connection(LOSS_CODES[cause])
@@ -372,8 +372,7 @@ class ServoApplication(Application):
             self.power.command(DriveCommand.DISABLE_VOLTAGE)
         elif option == AbortConnectionOption.QUICK_STOP:
             self.power.command(DriveCommand.QUICK_STOP)
-        self._act()
-        self._refresh()
+        self._react()
 
 
 class SimulatedServo(CanopenDevice):

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -79,3 +80,96 @@ def test_safe_torque_off_lets_a_held_load_sag(close_ms: int) -> None:
     speed = HANGING_NM / J * falls_s
     fallen = (0.5 * speed * falls_s + 0.5 * speed**2 / ((4.0 - HANGING_NM) / J)) / math.tau
     assert before - bench.turns == pytest.approx(fallen, rel=0.06, abs=0.001)
+
+
+OUTPUTS, PHYSICAL, MASK = 0x60FE, 1, 2
+
+
+def braked(**keys: Any) -> MotionBench:
+    """A drive with a load that hangs, its brake driven by 60FEh."""
+    drive = DriveParameters(brake_open_s=0.04, brake_close_s=0.05, brake_output=True, **keys)
+    bench = MotionBench(Mode.PROFILE_VELOCITY, drive, motor=LOADED, enabled=False)
+    bench.wait_ms(200)
+    return bench
+
+
+def set_brake(bench: MotionBench) -> int:
+    """60FEh:1, bit 0."""
+    return bench.read(OUTPUTS, "I", PHYSICAL) & 1
+
+
+def test_an_output_tells_and_takes_what_the_coil_has() -> None:
+    """Released by its master, the drive off, the load falls; set against a drive that holds it, it slips."""
+    bench = braked()
+    assert set_brake(bench) == 1
+    bench.set(OUTPUTS, "I", 0, PHYSICAL)
+    bench.wait_ms(100)
+    assert set_brake(bench) == 1, "no mask, no output"
+    before = bench.turns
+    bench.set(OUTPUTS, "I", 1, MASK)
+    assert set_brake(bench) == 1
+    bench.wait_ms(1)
+    assert set_brake(bench) == 0
+    bench.wait_ms(139)
+    falls_s = 0.1
+    assert (before - bench.turns) * math.tau == pytest.approx(0.5 * HANGING_NM / J * falls_s**2, rel=0.01)
+    bench.set(OUTPUTS, "I", 1, PHYSICAL)
+    bench.wait_ms(400)
+    held = bench.turns
+    bench.wait_ms(200)
+    assert bench.turns == held, "set again, it holds"
+    bench.set(OUTPUTS, "I", 0, MASK)
+    for word in (0x06, 0x07, ENABLED):
+        bench.control(word)
+    bench.wait_ms(1)
+    assert (bench.state, set_brake(bench)) == (State.OPERATION_ENABLED, 0), "the drive decides again"
+
+
+@pytest.mark.parametrize("waits", [False, True])
+def test_a_drive_that_waits_for_its_brake_lets_no_load_sag(waits: bool) -> None:
+    bench = braked(brake_waits=waits)
+    for word in (0x06, 0x07, ENABLED):
+        bench.control(word)
+    opens_ms = bench.wait_until(lambda: bench.state is State.OPERATION_ENABLED, 200)
+    assert (39 <= opens_ms <= 42) if waits else opens_ms == 0
+    bench.wait_ms(1500)
+    assert (abs(bench.turns_s) < 0.05, set_brake(bench)) == (True, 0)
+    before = bench.turns
+    bench.control(0x07)  # disable operation: ramp, brake, then the power stage
+    closes_ms = bench.wait_until(lambda: bench.state is State.SWITCHED_ON, 200)
+    bench.wait_ms(400)
+    sag = before - bench.turns
+    assert set_brake(bench) == 1
+    if waits:
+        assert 50 <= closes_ms <= 60
+        assert abs(sag) < 5e-4
+        return
+    speed = HANGING_NM / J * 0.05
+    assert sag == pytest.approx((0.5 * speed * 0.05 + 0.5 * speed**2 / (3.2 / J)) / math.tau, rel=0.1)
+
+
+def test_a_drive_that_waits_is_enabled_and_stopped_by_whatever_comes_meanwhile() -> None:
+    bench = braked(brake_waits=True)
+    for word in (0x06, 0x07, ENABLED):
+        bench.control(word)
+    bench.wait_ms(10)
+    bench.control(ENABLED)
+    assert bench.shows(State.SWITCHED_ON), "said again, it does not follow sooner"
+    bench.control(0x06)
+    assert bench.shows(State.READY)
+    before = bench.turns
+    bench.wait_ms(300)
+    assert before - bench.turns < 0.02, "the brake has hardly begun to open"
+    for word in (0x07, ENABLED):
+        bench.control(word)
+    bench.wait_ms(60)
+    assert bench.shows(State.OPERATION_ENABLED)
+    bench.control(0x07)
+    bench.wait_ms(20)
+    bench.control(ENABLED)
+    bench.wait_ms(60)
+    assert (bench.state, set_brake(bench)) == (State.OPERATION_ENABLED, 0)
+    before = bench.turns
+    bench.set(MACHINE, "B", 1, STO)
+    bench.wait_ms(400)
+    assert before - bench.turns > 0.1, "safe torque off waits for nobody"
