@@ -1,19 +1,20 @@
 """A drive is put back as its journal found it: in which order, what is left alone, and what is said."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import pytest
 
 from servobench.drivers.canopen.network import CanopenNetwork
 from servobench.drivers.canopen.nmt_states import NmtCommand, NmtState
 from servobench.drivers.canopen.objects import RemoteObjects
-from servobench.drivers.canopen.write_list import WriteGate
 from servobench.drivers.cia402.drive_setup import Identity
-from servobench.drivers.errors import BadInput, NoAnswer, PeerFault, TransferAborted
+from servobench.drivers.errors import BadInput, NoAnswer, PeerFault
 from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.hil.execution.world import WorldPlan, open_world
 from servobench.hil.restoring.journal import (
     DriveMark,
     Journal,
@@ -25,62 +26,67 @@ from servobench.hil.restoring.journal import (
 )
 from servobench.hil.restoring.restore import Restoration, await_answer, head_of, pdo_of, restore
 from servobench.hil.write_lists import RESTORE
+from servobench.virtual_bus.frame import Frame
+from tests.scenario.foreign_node import put_on_the_bus
 
 NODE: Final = 7
 MARK: Final = DriveMark(1, 2, 3)
 AT_REST: Final = {(0x6041, 0): b"\x40\x00", (0x6064, 0): b"\0\0\0\0"}
 """Switch on disabled, and it stands."""
+ABORT: Final = 0x80
+NO_OBJECT: Final = bytes.fromhex("80 00000206")
+READ_ONLY: Final = bytes.fromhex("80 02000106")
 Objects = dict[tuple[int, int], bytes]
 
 
 class Node:
-    """One node's objects behind a network, on a clock that waiting moves; what it was told, in order."""
+    """A node on a simulated bus that has ``objects`` of up to four bytes; what it was told, in order."""
 
     def __init__(self, objects: Mapping[tuple[int, int], bytes], kept: frozenset[int] = frozenset()) -> None:
         """``kept``: indices that refuse a write."""
         self.objects = {**AT_REST, **objects}
         self.kept = kept
         self.told: list[str] = []
-        self.now = Instant(0)
         self.silent_until = Instant(-1)
         self.state: NmtState | None = None
-        self.clock = SimpleNamespace(now=lambda: self.now)
-        self.writes = WriteGate(RESTORE)
+        """What its heartbeat tells, if it has one."""
+        self.wake_at: Instant | None = Instant(0)
 
-    def upload(self, node: int, index: int, sub: int = 0, timeout_s: float = 0.0, attempts: int = 1) -> bytes:
-        assert node == NODE
-        self.now = Instant(self.now + round(timeout_s * 1e9) * attempts)
-        if self.now <= self.silent_until:
-            raise NoAnswer("nothing came")
-        if (index, sub) not in self.objects:
-            raise TransferAborted("no such object")
-        return self.objects[index, sub]
+    def start(self, now: Instant) -> Sequence[Frame]:
+        del now
+        return ()
 
-    def download(self, node: int, index: int, sub: int, data: bytes) -> None:
-        assert node == NODE
-        self.writes.check(node, index, sub)
-        self.told.append(f"{index:04X}:{sub} {data.hex()}")
-        if index in self.kept:
-            raise TransferAborted("read only")
-        self.objects[index, sub] = data
+    def wake(self, now: Instant) -> Sequence[Frame]:
+        self.wake_at = None if self.state is None else Instant(now + 100 * NS_PER_MS)
+        return () if self.state is None else (Frame(0x700 + NODE, bytes([self.state])),)
 
-    def command(self, command: NmtCommand, node: int) -> None:
-        assert node == NODE
-        self.told.append(command.name)
-
-    def status(self, node: int) -> object:
-        assert node == NODE
-        return SimpleNamespace(state=self.state)
-
-    def deadline_after(self, limit: Duration) -> Instant:
-        return Instant(self.now + limit)
-
-    def pump(self, until: Instant) -> None:
-        self.now = max(self.now, until)
+    def receive(self, frame: Frame, now: Instant) -> Sequence[Frame]:
+        if frame.can_id == 0:
+            assert frame.data[1] == NODE
+            self.told.append(NmtCommand(frame.data[0]).name)
+        if frame.can_id != 0x600 + NODE or frame.data[0] == ABORT or now <= self.silent_until:
+            return ()
+        key = int.from_bytes(frame.data[1:3], "little"), frame.data[3]
+        if frame.data[0] == 0x40:
+            held = self.objects.get(key)
+            answer = NO_OBJECT if held is None else bytes([0x43 | 4 - len(held) << 2]) + held
+        else:
+            written = frame.data[4 : 8 - (frame.data[0] >> 2 & 3)]
+            self.told.append(f"{key[0]:04X}:{key[1]} {written.hex()}")
+            answer = READ_ONLY if key[0] in self.kept else b"\x60"
+            self.objects |= {} if key[0] in self.kept else {key: written}
+        return (Frame(0x580 + NODE, answer[:1] + frame.data[1:4] + answer[1:].ljust(4, b"\0")),)
 
 
-def network(node: Node) -> CanopenNetwork:
-    return cast(CanopenNetwork, node)
+@contextmanager
+def on_a_bus(node: Node) -> Iterator[CanopenNetwork]:
+    with open_world(WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, None, 0), []) as world:
+        put_on_the_bus(world, node)
+        yield CanopenNetwork(world.link, world.clock, 126, writes=RESTORE)
+
+
+def now_ms(network: CanopenNetwork) -> float:
+    return network.clock.now() / NS_PER_MS
 
 
 def put_back(
@@ -93,10 +99,13 @@ def put_back(
     changes = [ObjectWrite(ObjectKey(index, sub), bytes.fromhex(old), b"") for index, sub, old in writes]
     contents = JournalContents(JournalHead("hub:x", NODE, MARK, nmt, errors), changes)
     said: list[str] = []
-    result = restore(network(node), contents, said.append)
+    with on_a_bus(node) as network:
+        result = restore(network, contents, said.append)
+        took_ms = now_ms(network)
+        network.pump(network.deadline_after(Duration(NS_PER_MS)))  # the last command is on its way
     assert said == ["bringing the drive to rest"]
     assert node.told[:2] == ["6040:0 0000", "ENTER_PRE_OPERATIONAL"]
-    assert node.now == (3 * 20 + 20) * NS_PER_MS, "three looks at rest, and a while for NMT"
+    assert took_ms == pytest.approx(3 * 20 + 20, abs=10.0), "three looks at rest, and a while for NMT"
     return result, node.told[2:]
 
 
@@ -247,8 +256,8 @@ def test_one_that_still_turns_keeps_its_settings() -> None:
     contents = JournalContents(
         JournalHead("hub:x", NODE, MARK, 5, 0), [ObjectWrite(ObjectKey(0x6072, 0), b"\1\0", b"")]
     )
-    with pytest.raises(PeerFault, match="was not brought to rest"):
-        restore(network(node), contents)
+    with on_a_bus(node) as network, pytest.raises(PeerFault, match="was not brought to rest"):
+        restore(network, contents)
     assert set(node.told) == {"6040:0 0200"}, "nothing but quick stops"
 
 
@@ -269,25 +278,28 @@ def test_a_drive_s_head_waits_for_its_heartbeat(
 ) -> None:
     node = Node(objects)
     node.state = state
-    head = head_of(RemoteObjects(network(node), NODE), "hub:x", 500_000, IDENTITY)
+    with on_a_bus(node) as network:
+        head = head_of(RemoteObjects(network, NODE), "hub:x", 500_000, IDENTITY)
+        assert now_ms(network) == pytest.approx(took_ms, abs=2.0)
     assert head == JournalHead("hub:x", NODE, MARK, nmt, errors, 500_000)
-    assert node.now == took_ms * NS_PER_MS
 
 
-@pytest.mark.parametrize(("silent_ms", "took_ms"), [(-1, 100), (250, 300), (399, 400)])
-def test_an_answer_is_awaited_until_it_comes(silent_ms: int, took_ms: int) -> None:
+@pytest.mark.parametrize(("silent_ms", "took_ms"), [(-1, 1.0), (250, 302.0), (299, 302.0)])
+def test_an_answer_is_awaited_until_it_comes(silent_ms: int, took_ms: float) -> None:
     node = Node({(0x1000, 0): b"\x92\1\2\0"})
     node.silent_until = Instant(silent_ms * NS_PER_MS)
-    await_answer(network(node), NODE, Duration(400 * NS_PER_MS))
-    assert node.now == took_ms * NS_PER_MS
+    with on_a_bus(node) as network:
+        await_answer(network, NODE, Duration(400 * NS_PER_MS))
+        assert silent_ms < now_ms(network) <= took_ms
 
 
 def test_an_answer_is_not_awaited_beyond_its_limit() -> None:
     node = Node({})
     node.silent_until = Instant(1 << 60)
-    with pytest.raises(NoAnswer):
-        await_answer(network(node), NODE, Duration(400 * NS_PER_MS))
-    assert node.now == 400 * NS_PER_MS
+    with on_a_bus(node) as network:
+        with pytest.raises(NoAnswer):
+            await_answer(network, NODE, Duration(400 * NS_PER_MS))
+        assert now_ms(network) == pytest.approx(400.0, abs=2.0)
 
 
 # ---- journals -----------------------------------------------------------------------------------------
