@@ -64,6 +64,7 @@ def ended(result: Commissioned) -> tuple[str, str]:
     return failed[0].name, failed[0].reason
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("drive", "step", "told"),
     [
@@ -102,6 +103,7 @@ def sticking(motor: PmsmParameters) -> Mechanism:
     return Mechanism(friction=Friction(2.0 * coulomb_nm, 2.0, coulomb_nm))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mechanism", [coupled, cogging, sticking])
 def test_play_cogging_and_friction_are_neither_stop_nor_load(
     mechanism: Callable[[PmsmParameters], Mechanism], tmp_path: Path
@@ -113,6 +115,7 @@ def test_play_cogging_and_friction_are_neither_stop_nor_load(
     assert found.inertia_kg_m2 == pytest.approx(truth.motor.inertia_kg_m2, rel=2e-3)
 
 
+@pytest.mark.long
 def test_a_link_that_braking_charged_is_told_with_a_remedy_and_the_next_step_goes_on(tmp_path: Path) -> None:
     """The same drive trips in the second try too; the step behind it does not brake from speed."""
     volts = unknown_drive(SEED)[1].motor.dc_bus_voltage_v

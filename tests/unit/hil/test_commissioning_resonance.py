@@ -86,6 +86,7 @@ def test_the_lines_of_a_closer_look_end_where_they_cannot_be_excited(highest: fl
 SEED = 7
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("resonance_hz", "ratio"), [(45.0, 3.0), (140.0, 1.0), (230.0, 2.0)])
 def test_a_commissioning_finds_the_resonance_and_a_controller_that_bears_it(
     resonance_hz: float, ratio: float, tmp_path: Path
@@ -100,6 +101,7 @@ def test_a_commissioning_finds_the_resonance_and_a_controller_that_bears_it(
     assert steps["suggest"].lines[0].startswith("the resonance at ")
 
 
+@pytest.mark.long
 def test_play_is_told_as_play(tmp_path: Path) -> None:
     motor = unknown_drive(SEED)[1].motor
     shaft = coupling(motor.inertia_kg_m2, 140.0, 2.0, backlash=0.02)

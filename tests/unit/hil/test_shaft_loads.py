@@ -1,6 +1,6 @@
 """What puts loads on shafts: what the instrument is told and when, what a simulated drive's object gets."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final, cast
@@ -11,8 +11,10 @@ from servobench.drivers.canopen.network import CanopenNetwork
 from servobench.drivers.canopen.write_list import WriteGate
 from servobench.drivers.errors import BadInput, NoAnswer, TransferAborted
 from servobench.drivers.instruments.dynamometer import Dynamometer, LineCounts, LoadReading
-from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Duration, Instant, MonotonicClock
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, MonotonicClock
+from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.hil.configuration.references import SignalFile
+from servobench.hil.execution.world import WorldPlan, open_world
 from servobench.hil.load.load_machines import (
     InstrumentLoadMachine,
     ObjectLoadMachine,
@@ -58,19 +60,23 @@ class Instrument(FakeDynamometer):
         self.calls.append("closed")
 
 
-class Bench:
-    """An instrument on a shaft, and a clock that the test sets."""
+@pytest.fixture
+def bus() -> Iterator[CanopenNetwork]:
+    """A simulated segment without a node; its time goes on as it is pumped."""
+    with open_world(WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, None, 0), []) as world:
+        yield CanopenNetwork(world.link, world.clock, 126, writes=RUN)
 
-    def __init__(self, every: Duration | None = None) -> None:
-        self.now = Instant(0)
-        self.waited: list[Instant] = []
+
+class Bench:
+    """An instrument on a shaft beside a bus."""
+
+    def __init__(self, bus: CanopenNetwork, every: Duration | None = None) -> None:
         self.kept: list[tuple[str, LoadReading]] = []
         self.instrument = Instrument()
-        clock = cast(Clock, SimpleNamespace(now=lambda: self.now))
         self.machine = InstrumentLoadMachine(
             cast(Dynamometer, self.instrument),
             "axis1",
-            cast(CanopenNetwork, SimpleNamespace(pump=self.waited.append, clock=clock)),
+            bus,
             lambda axis, reading: self.kept.append((axis, reading)),
             every,
         )
@@ -83,17 +89,17 @@ class Bench:
         return reading
 
 
-def test_it_waits_as_it_is_told_and_gives_the_port_back() -> None:
-    bench = Bench()
+def test_it_waits_as_it_is_told_and_gives_the_port_back(bus: CanopenNetwork) -> None:
+    bench = Bench(bus)
     assert bench.machine.connect() == "a brake"
     bench.machine.take_off()
     bench.machine.close()
-    assert bench.waited == [7, 9]
+    assert bus.clock.now() == 9
     assert bench.instrument.calls == ["off", "closed"]
 
 
-def test_readings_count_from_the_first_cycle_on() -> None:
-    bench = Bench()
+def test_readings_count_from_the_first_cycle_on(bus: CanopenNetwork) -> None:
+    bench = Bench(bus)
     bench.read(10.0, 0.1)
     bench.instrument.readings.append(LoadReading(ZERO, Duration(0), 0.1, 1.0, False))
     bench.instrument.tally.late = 3
@@ -117,8 +123,8 @@ def test_readings_count_from_the_first_cycle_on() -> None:
     }
 
 
-def test_what_went_over_the_line_before_the_run_is_forgotten() -> None:
-    bench = Bench()
+def test_what_went_over_the_line_before_the_run_is_forgotten(bus: CanopenNetwork) -> None:
+    bench = Bench(bus)
     bench.instrument.tally = LineCounts(late=3, spoilt=2, error_ns_max=9)
     bench.machine.begin(ZERO)
     figures = bench.machine.figures()
@@ -138,14 +144,14 @@ def test_what_went_over_the_line_before_the_run_is_forgotten() -> None:
     ],
 )
 def test_each_step_has_the_mean_of_its_second_half_and_when_it_was_reached(
-    torques: list[float], measured: float, reached_ms: float | None
+    bus: CanopenNetwork, torques: list[float], measured: float, reached_ms: float | None
 ) -> None:
     """Within a twentieth of what is asked."""
-    bench = Bench()
+    bench = Bench(bus)
     bench.machine.begin(ZERO)
-    bench.now = Instant(ZERO + 500 * MS)
+    bus.pump(Instant(ZERO + 500 * MS))
     bench.machine.set_torque(0.3)
-    bench.now = Instant(ZERO + 1000 * MS)
+    bus.pump(Instant(ZERO + 1000 * MS))
     bench.machine.set_torque(1.0)
     for number, torque_nm in enumerate(torques, 1):
         bench.read(1100.0 + number, torque_nm)
@@ -161,19 +167,19 @@ def test_each_step_has_the_mean_of_its_second_half_and_when_it_was_reached(
     ], "and one that was not measured is none"
 
 
-def test_steps_before_a_run_count_from_the_clock_s_own_zero() -> None:
-    bench = Bench()
-    bench.now = Instant(2 * NS_PER_S)
+def test_steps_of_a_run_that_begins_with_the_clock_count_from_its_zero(bus: CanopenNetwork) -> None:
+    bench = Bench(bus)
+    bench.machine.begin(Instant(0))
+    bus.pump(Instant(2 * NS_PER_S))
     bench.machine.set_torque(0.5)
-    bench.machine._begun_at = Instant(0)
     bench.read(2500.0, 0.5)
     (step,) = bench.machine.figures()["steps"]
     assert (step["at_s"], step["reached_ms"]) == (2.0, 500.0)
 
 
-def test_a_load_over_time_is_told_as_often_as_the_line_takes_it() -> None:
+def test_a_load_over_time_is_told_as_often_as_the_line_takes_it(bus: CanopenNetwork) -> None:
     """The newest torque, every 20 ms; nothing where nothing new is asked."""
-    bench = Bench(Duration(20 * MS))
+    bench = Bench(bus, Duration(20 * MS))
     told: list[tuple[int, float]] = []
     for at_ms in range(0, 100, 5):
         if at_ms < 70:
@@ -186,8 +192,8 @@ def test_a_load_over_time_is_told_as_often_as_the_line_takes_it() -> None:
     assert bench.machine.figures()["steps"] == []
 
 
-def test_taking_off_forgets_what_was_to_be_told() -> None:
-    bench = Bench(Duration(20 * MS))
+def test_taking_off_forgets_what_was_to_be_told(bus: CanopenNetwork) -> None:
+    bench = Bench(bus, Duration(20 * MS))
     bench.machine.set_torque(0.5)
     bench.machine.take_off()
     bench.machine.attend(Instant(50 * MS))
