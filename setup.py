@@ -53,7 +53,7 @@ GROUPS = {
         *_below("hil/loop", "cycle_record decision delay drive_stamps followed_command kept_order lessons"),
         *_below("hil/loop", "loop order_attribution order_evidence order_memory order_question pace"),
         *_below("hil/loop", "period_doubt readback_tie residuals safety samples scenario"),
-        *_below("hil/loop", "stamp_attribution syncs usual_delays way_back"),
+        *_below("hil/loop", "stamp_attribution suspects syncs usual_delays way_back"),
         *_below("hil/recording", "row_writer"),
         *_below("hil/rows", "side_rows"),
     ],

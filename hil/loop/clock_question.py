@@ -10,11 +10,13 @@ Each way has the cost of what must have happened for it.
 """
 
 from statistics import median_low
-from typing import Final, NamedTuple
+from typing import Final
 
 from servobench.drivers.timebase import Duration, Instant
+from servobench.drivers.wire.frame_port import EchoBasis
 from servobench.hil.loop.drive_stamps import DriveStamps
 from servobench.hil.loop.residuals import NEARER, DelayExtremes
+from servobench.hil.loop.suspects import STEP_COST, Line, Suspect
 from servobench.hil.loop.syncs import STAMPED_LATE, SURPLUS, SyncLog, SyncMark
 
 AGREEING: Final = 8
@@ -26,10 +28,8 @@ AGREEING_ALONE: Final = 2 * AGREEING
 SUSPECTS_MAX: Final = 48
 """After so many an unlikely answer is taken too. If there is none it is settled for the clock as it was,
 unless a reading would have come before its SYNC."""
-STEP_COST: Final = 3
-"""That a clock was set,"""
 DELAY_COST: Final = 3
-"""that the smallest delay changed by more than half a period,"""
+"""Beside :data:`STEP_COST`, that the smallest delay changed by more than half a period,"""
 LOSS_COST_MAX: Final = 2
 """and that readings were lost just then, one each up to this: a step and a change of delay are as rare as one
 another, while losses are common and come in bursts."""
@@ -52,52 +52,6 @@ STAMPS_MAX: Final = 512
 """Stamps kept before those of forgotten SYNCs are dropped."""
 DRIFT_WITHIN: Final = 2e-3
 """Rates up to 2000 ppm off the old one are looked for among suspects."""
-
-
-class Suspect:
-    """A reading that came while it is open whether the clock was set."""
-
-    def __init__(
-        self, device_ns: int, received_at: Instant, known: int | None = None, early: bool = False
-    ) -> None:
-        """``known``: the stamp of the SYNC on which it lies, if that has one already."""
-        self.device_ns = device_ns
-        self.received_at = received_at
-        self.second = known is not None
-        """True if it lies on a SYNC that has a reading already,"""
-        self.repeats = known == device_ns
-        """with the same stamp, as a clock makes some again that is set back."""
-        self.early = early
-        """True if it would have come before its SYNC if the clock was not set."""
-        self.guess = SURPLUS
-        """The cycle in which it was placed, uncertain."""
-
-
-class Line(NamedTuple):
-    """A way to place the last suspects."""
-
-    cost: int
-    delay_change: int
-    """By how much the smallest delay would have changed, ns; it decides between equals, but not at once."""
-    marks: tuple[SyncMark | None, ...]
-    """The SYNC of each; None where it was not heard, which the first one's was."""
-    steps: bool
-    """True if the clock was set."""
-    misfit: float
-    """Logarithm of how much likelier no line would be, by how far they lie off it."""
-
-    @property
-    def first_at(self) -> Instant:
-        """The end of the SYNC of the first one."""
-        first = self.marks[0]
-        assert first is not None
-        assert first.on_bus_at is not None
-        return first.on_bus_at
-
-    @property
-    def unlikely(self) -> bool:
-        """True if more than losses must have happened."""
-        return self.cost >= STEP_COST
 
 
 class ClockQuestion:
@@ -210,13 +164,16 @@ class ClockQuestion:
         ]
 
     def note_residuals(self, suspects: list[Suspect]) -> None:
-        """Suspects lie off their SYNCs though the clock is as it was: others may too."""
+        """Suspects lie off their SYNCs though the clock is as it was: others may too. Where a SYNC may wait
+        in front of the bus unseen, a stamp before one is of the SYNC before, which waited so long."""
+        stamps, may_wait = self._stamps, self._syncs.basis is EchoBasis.NONE
         for suspect in suspects:
-            at = self._stamps.clock.place(suspect.device_ns)
+            at = stamps.clock.place(suspect.device_ns)
             mark = None if suspect.second else self._syncs.nearest(at)
             if mark is not None and mark.on_bus_at is not None:
                 residual = at - mark.on_bus_at
-                self._stamps.residuals.add_questioned(residual, self._stamps.match_ns, 2 * self._half)
+                if not may_wait or residual >= stamps.residuals.least - stamps.match_ns:
+                    stamps.residuals.add_questioned(residual, stamps.match_ns, 2 * self._half)
 
     def was_set(self, suspects: list[Suspect]) -> bool:
         """True if the clock is not as it was: a suspect would have come before the SYNC next to its stamp."""
@@ -227,15 +184,37 @@ class ClockQuestion:
                 return True
         return False
 
-    def answers(self, last: list[Suspect], *, unlikely: bool) -> list[Line]:
+    def answers(self, suspects: list[Suspect], *, unlikely: bool) -> list[Line]:
         """The ways to place the last suspects that are likely enough, the one first of which least must have
         happened. ``unlikely``: or a step, and that the smallest delay has changed by less than a period."""
+        last, earlier = suspects[-self.agreeing :], suspects[: -self.agreeing]
         lines = [
             line
-            for line in self.lines(last)
+            for line in self._borne_out(self.lines(last), earlier)
             if line.cost <= LIKELY_COST_MAX or (unlikely and line.delay_change < 2 * self._half)
         ]
         return sorted(lines, key=lambda line: (line.cost, line.steps, line.delay_change))
+
+    def _borne_out(self, lines: list[Line], earlier: list[Suspect]) -> list[Line]:
+        """Those of ``lines`` that ``earlier`` suspects bear out as well as any: a few readings, looked at
+        again and again, lie on a wrong line by chance, all of them do not. Where the best one leaves most of
+        them off, as those before a step are, they say nothing."""
+        if len(lines) < 2 or not earlier:
+            return lines
+        misfits = [self._misfit(line, earlier) for line in lines]
+        if min(misfits) > MISFIT_MOST * len(earlier):
+            return lines
+        total = [line.misfit + misfit for line, misfit in zip(lines, misfits, strict=True)]
+        most = min(total) + EXCLUDING
+        return [line for line, misfit in zip(lines, total, strict=True) if misfit <= most]
+
+    def _misfit(self, line: Line, earlier: list[Suspect]) -> float:
+        """By how far suspects before those that it places lie off it."""
+        place, variance, misfit = self._stamps.clock.place, self._stamps.variance_ns2, 0.0
+        for suspect in earlier:
+            miss = self._miss(Instant(place(suspect.device_ns) + line.moved_by))
+            misfit += min(miss * miss / variance, OUTLYING**2) / 2.0
+        return misfit
 
     def lines(self, last: list[Suspect]) -> list[Line]:
         """Every way to place the last suspects on SYNCs, all of them on one line, that is not so much less
@@ -310,7 +289,7 @@ class ClockQuestion:
             unmoved = self._syncs.nearest(unmoved_at)
             if unmoved is not None and not self._agrees(used, first.number - unmoved.number):
                 return None
-        return self._costed(marks, smallest, steps, misfit)
+        return self._costed(marks, smallest, steps, misfit, origin_at - unmoved_at + round(mean))
 
     def _is_anothers(self, mark: SyncMark, suspect: Suspect) -> bool:
         """Return whether the SYNC of ``mark`` has a reading that is not the suspect."""
@@ -356,10 +335,12 @@ class ClockQuestion:
             marks.append(mark)
         if len(last) < RARE or outlying * RARE > len(last):
             return []
-        line = self._costed(marks, min(delays), False, misfit)
+        line = self._costed(marks, min(delays), False, misfit, 0)
         return [] if line.unlikely else [line]
 
-    def _costed(self, marks: list[SyncMark | None], smallest: int, steps: bool, misfit: float) -> Line:
+    def _costed(
+        self, marks: list[SyncMark | None], smallest: int, steps: bool, misfit: float, moved_by: int
+    ) -> Line:
         """The way that places suspects on ``marks`` with this smallest delay, and what it costs."""
         lost = self._lost_before(min(mark.number for mark in marks if mark is not None))
         if steps:
@@ -369,7 +350,7 @@ class ClockQuestion:
         change = abs(smallest - self.delays.low)
         if change > self._half + self.delays.slack():
             cost += DELAY_COST
-        return Line(cost, change, tuple(marks), steps, misfit)
+        return Line(cost, change, tuple(marks), steps, misfit, moved_by)
 
     def alike(self, placed: list[tuple[Suspect, SyncMark]]) -> list[tuple[Suspect, SyncMark]]:
         """Those of the suspects behind a step whose delays are like the least one: a longer delay may be that

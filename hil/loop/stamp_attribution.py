@@ -27,11 +27,12 @@ from servobench.drivers.exchange import Reading
 from servobench.drivers.timebase import NS_PER_US, Duration, Instant
 from servobench.hil.loop.attribution import Health, Question, Tell
 from servobench.hil.loop.clock_map import STAMP_RESOLUTION
-from servobench.hil.loop.clock_question import AGREEING, SUSPECTS_MAX, ClockQuestion, Line, Suspect
+from servobench.hil.loop.clock_question import AGREEING, SUSPECTS_MAX, ClockQuestion
 from servobench.hil.loop.drive_stamps import DriveStamps
 from servobench.hil.loop.period_doubt import PeriodDoubt, Placing
 from servobench.hil.loop.residuals import DelayExtremes
 from servobench.hil.loop.samples import Sample
+from servobench.hil.loop.suspects import Line, Suspect
 from servobench.hil.loop.syncs import REMEMBERED, STAMPED_LATE, SURPLUS, SyncLog, SyncMark
 
 REVOKED: Final = 12
@@ -309,12 +310,11 @@ class StampAttribution:
 
     def _settle(self) -> None:
         """Close the question if the last suspects leave one answer."""
-        agreeing = self._case.agreeing
-        count = len(self._suspects)
+        agreeing, count = self._case.agreeing, len(self._suspects)
         if count < agreeing or (count - agreeing) % (AGREEING // 2):
             return
         last = self._suspects[-agreeing:]
-        if lines := self._case.answers(last, unlikely=count > SUSPECTS_MAX):
+        if lines := self._case.answers(self._suspects, unlikely=count > SUSPECTS_MAX):
             self._take(lines, last)
         elif count > SUSPECTS_MAX and self._case.was_set(self._suspects):
             del self._suspects[: AGREEING // 2]

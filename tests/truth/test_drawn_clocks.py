@@ -74,3 +74,17 @@ def test_a_step_hides_in_what_echoes_are_late() -> None:
 def test_late_echoes_leave_a_question_open_no_longer_than_they_must() -> None:
     """Without what they may be off 75 rows of 1500 are in doubt, with four times as much 95."""
     assert verdict_of(450173, 1500).readings.uncertain <= 60
+
+
+@pytest.mark.parametrize(("seed", "cycles", "unsure"), [(451721, 1250, 40), (452118, 220, 10)])
+def test_a_stamp_before_its_sync_is_of_the_one_before(seed: int, cycles: int, unsure: int) -> None:
+    """Which waited in front of the bus for more than half a period, where no echo tells it. Taken for how far
+    stamps reach, it let the next one lie on a SYNC that its reading had come before: a row each was wrong,
+    and what half of the SYNCs' distance hides left 422 and 235 of 1500 in doubt."""
+    assert verdict_of(seed, cycles).readings.uncertain <= unsure
+
+
+def test_a_line_is_borne_out_by_all_readings_since_the_question() -> None:
+    """Clock and delay changed at once, so the right line was too unlikely to be taken soon; eight readings,
+    looked at seven times, lay on a wrong one by chance: 375 rows, 251 commands."""
+    verdict_of(460486, 1180)

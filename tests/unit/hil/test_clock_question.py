@@ -7,14 +7,10 @@ import pytest
 from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 from servobench.drivers.wire.frame_port import EchoBasis
 from servobench.hil.loop.clock_map import STAMP_RESOLUTION
-from servobench.hil.loop.clock_question import (
-    DRIFT_WITHIN,
-    ClockQuestion,
-    Line,
-    Suspect,
-)
+from servobench.hil.loop.clock_question import DRIFT_WITHIN, ClockQuestion
 from servobench.hil.loop.drive_stamps import MATCH_NS as MATCH
 from servobench.hil.loop.drive_stamps import DriveStamps
+from servobench.hil.loop.suspects import Line, Suspect
 from servobench.hil.loop.syncs import SURPLUS, SyncLog
 
 PERIOD = Duration(NS_PER_MS)
@@ -71,7 +67,7 @@ def test_a_line_is_of_marks_and_whether_it_steps() -> None:
     case = Case(3)
     case.case.since = 2
     (line,) = [each for each in case.case.lines(case.suspects(3)) if each.marks == (case.log.marks[2],)]
-    assert line == Line(0, 0, (case.log.marks[2],), False, 0.0)
+    assert line == Line(0, 0, (case.log.marks[2],), False, 0.0, 0)
 
 
 @pytest.mark.parametrize(("step", "steps"), [(4_000, False), (10_000, True), (-10_000, True)])
