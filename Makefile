@@ -155,7 +155,7 @@ test: $(TOOLS) compile
 ROOM ?= $(error which room? make unit ROOM=drivers, virtual_bus, design or hil)
 
 unit: $(TOOLS) $(CORE)
-	@$(BIN)/pytest --quiet --numprocesses=2 --dist=loadgroup -m "not long" tests/unit/$(ROOM)
+	@$(BIN)/pytest --quiet --numprocesses=2 --dist=loadgroup -m "not long" --durations=5 --durations-min=2 tests/unit/$(ROOM)
 
 EDITS ?= 1000
 

@@ -25,9 +25,6 @@ from tests.stillness import EXCUSED_MS, STOOD_STILL_MS, Untrue, Witness
 
 pytest.register_assert_rewrite("tests.contract", "tests.scenario", "tests.truth")
 
-UNMARKED_MAX_S = 10.0
-"""Processor time of a unit test without the mark `long`, which is for what takes a second. Interpreted on a
-slow machine it may need some times as long."""
 TRIES = 3
 LEFT_OUT_MAX = 3
 REAL_TIME = "real time"
@@ -91,18 +88,6 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     if _is_in_real_time(item):
         _witness = _witness or Witness()
         _witness.begin()
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
-    """A unit test that takes long and is not marked so would make `make unit` slow for everybody."""
-    before = sum(os.times()[:4])
-    yield
-    took_s = sum(os.times()[:4]) - before
-    if took_s > UNMARKED_MAX_S and UNIT in item.path.parents and not item.get_closest_marker("long"):
-        pytest.fail(
-            f"took {took_s:.0f} s of processor time: mark it `long`, or make it quicker", pytrace=False
-        )
 
 
 @pytest.hookimpl(wrapper=True)
