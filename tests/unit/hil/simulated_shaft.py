@@ -4,9 +4,10 @@ It turns by the torque, or follows the speed, of each cycle, and is recorded as 
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final, cast
 
@@ -18,11 +19,12 @@ from servobench.drivers.cia402.profile import Mode
 from servobench.drivers.cia402.scaling import Scaling
 from servobench.drivers.record import values_of
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.hil.commissioning.dialog import Dialog, Idle
 from servobench.hil.commissioning.excitation import SpeedReference
 from servobench.hil.commissioning.exercise import Recording
 from servobench.hil.commissioning.findings import Findings
 from servobench.hil.commissioning.identify import Mechanics
-from servobench.hil.commissioning.request import Nameplate, motion_limits
+from servobench.hil.commissioning.request import CommissionRequest, Nameplate, motion_limits
 from servobench.hil.commissioning.session import Session
 from servobench.hil.execution.segments import timing_without_bench
 from servobench.hil.loop.samples import StateEstimate
@@ -167,6 +169,25 @@ class Shaft:
         return angle + path, later, asked
 
 
+def request_of(plate: Mapping[str, Any] | None = None, **more: Any) -> CommissionRequest:
+    """For node 5; ``plate``: what its nameplate says."""
+    return CommissionRequest("hub:x", 5, Path("out"), nameplate=Nameplate.model_validate(plate or {}), **more)
+
+
+class Answering(Dialog):
+    """Somebody who gives ``answer`` to each question; None: nobody is there."""
+
+    def __init__(self, answer: str | None = None) -> None:
+        super().__init__(lambda _text: None)
+        self.attended = answer is not None
+        self.asked: list[str] = []
+        self._answer = answer
+
+    def line(self, question: str, _idle: Idle) -> str:
+        self.asked.append(question)
+        return self._answer or ""
+
+
 def session_of(shaft: Shaft, **more: Any) -> Session:
     """A commissioning under way that has this shaft; ``more``: of the session.
 
@@ -189,7 +210,9 @@ def session_of(shaft: Shaft, **more: Any) -> Session:
         found.override = replace(found.override, **changes)
 
     session = SimpleNamespace(
-        request=SimpleNamespace(nameplate=Nameplate()),
+        request=request_of(),
+        dialog=Answering(),
+        idle=lambda: None,
         limits=LIMITS,
         found=found,
         told=scaling,

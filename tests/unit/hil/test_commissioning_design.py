@@ -2,8 +2,8 @@
 
 import math
 import re
-from types import SimpleNamespace
-from typing import Any
+from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -13,9 +13,10 @@ from servobench.drivers.cia402.pdo_plans import PlanWish
 from servobench.drivers.timebase import NS_PER_MS, Duration
 from servobench.hil.commissioning.findings import StepOutcome
 from servobench.hil.commissioning.identify import Mechanics
-from servobench.hil.commissioning.request import PlateRating
+from servobench.hil.commissioning.request import Nameplate, PlateRating
 from servobench.hil.commissioning.resonance import Resonance
 from servobench.hil.commissioning.steps_design import Suggest
+from tests.unit.hil.simulated_shaft import LIMITS, Shaft, request_of, session_of
 
 J, B, RATED_NM = 2e-3, 4e-3, 2.0
 LAG_US, READING_US, EFFECT_US = 800.0, 400.0, 700.0
@@ -28,27 +29,20 @@ def suggested(
     resonance: Resonance | None = None,
 ) -> tuple[StepOutcome, dict[str, Any]]:
     """What the step finds, and the controller."""
-    found = SimpleNamespace(
-        torque_lag_us=LAG_US,
-        speed_noise_rad_s=noise_rad_s,
-        reading_delay_us=reading_us,
-        effect_delay_us=EFFECT_US,
-        period=Duration(NS_PER_MS),
-        plan=mode_plan(1, PlanWish()),
-        controller={},
-        resonance=resonance,
-    )
-    session: Any = SimpleNamespace(
-        mechanics=Mechanics(J, B, 0.05, 0.0, 0.0, 0.0, 0.0, 10, 0.0),
+    mechanics = Mechanics(J, B, 0.05, 0.0, 0.0, 0.0, 0.0, 10, 0.0)
+    session = session_of(
+        Shaft(mechanics),
+        mechanics=mechanics,
+        limits=replace(LIMITS, speed_rad_s=100.0),
+        request=replace(request_of(), nameplate=Nameplate(rating=rating or PlateRating())),
         configured=True,
-        found=found,
-        drive=SimpleNamespace(rated_torque_nm=RATED_NM),
-        request=SimpleNamespace(
-            nameplate=SimpleNamespace(rating=rating or PlateRating()), bitrate_bit_s=1_000_000
-        ),
-        limits=SimpleNamespace(speed_rad_s=100.0),
-        meanwhile=lambda work, *arguments: work(*arguments),
     )
+    found, drive = cast(Any, session.found), cast(Any, session.drive)
+    drive.rated_torque_nm = RATED_NM
+    found.torque_lag_us, found.speed_noise_rad_s = LAG_US, noise_rad_s
+    found.reading_delay_us, found.effect_delay_us = reading_us, EFFECT_US
+    found.period, found.plan = Duration(NS_PER_MS), mode_plan(1, PlanWish())
+    found.resonance = resonance
     outcome = StepOutcome()
     Suggest().run(session, outcome)
     return outcome, found.controller

@@ -31,7 +31,7 @@ TRUTH = shaft_of(2e-3, 2e-3, 0.05)
 
 def known(mechanics: Mechanics = TRUTH, **shaft: Any) -> Session:
     """A session whose shaft was identified as ``mechanics``."""
-    made = session_of(Shaft(TRUTH, **shaft), mechanics=mechanics, request=SimpleNamespace(node=5))
+    made = session_of(Shaft(TRUTH, **shaft), mechanics=mechanics)
     made.found.mechanics = mechanics
     return made
 

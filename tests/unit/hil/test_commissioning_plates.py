@@ -1,30 +1,23 @@
 """What nameplate and drive say against each other."""
 
 import math
-from types import SimpleNamespace
-from typing import cast
 
 import pytest
 
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.scaling import FACTOR_OBJECTS, scaling_from
 from servobench.drivers.errors import PeerFault
-from servobench.hil.commissioning.findings import Findings, StepFailed, StepOutcome
+from servobench.hil.commissioning.findings import StepFailed, StepOutcome
 from servobench.hil.commissioning.nameplate import confirm_pole_pairs, nameplate_wins
-from servobench.hil.commissioning.request import Nameplate
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_static import _plausible
+from tests.unit.hil.simulated_shaft import Answering, Shaft, request_of, session_of, shaft_of
 
 
 def asking(answer: str | None, trusted: bool = False) -> Session:
     """A session in which somebody answers, or nobody is there."""
-    dialog = SimpleNamespace(attended=answer is not None, line=lambda _question, _idle: answer or "")
-    plate = Nameplate.model_validate({"motor": {"pole_pairs": 5}})
-    request = SimpleNamespace(trust_nameplate=trusted, nameplate=plate)
-    return cast(
-        Session,
-        SimpleNamespace(dialog=dialog, request=request, idle=lambda: None, found=Findings()),
-    )
+    request = request_of({"motor": {"pole_pairs": 5}}, trust_nameplate=trusted)
+    return session_of(Shaft(shaft_of(1e-3)), request=request, dialog=Answering(answer))
 
 
 @pytest.mark.parametrize(("answer", "wins"), [("n", True), ("D", False)])

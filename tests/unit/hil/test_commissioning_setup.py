@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -40,7 +39,7 @@ CST, PT, CSV = Mode.CYCLIC_SYNCHRONOUS_TORQUE, Mode.PROFILE_TORQUE, Mode.CYCLIC_
 def setting_up(*modes: Mode, refusals: dict[Mode, Exception] | None = None) -> Session:
     """A session whose drive takes those of ``modes`` that are no ``refusals``."""
     shaft = Shaft(TRUTH)
-    session = session_of(shaft, request=SimpleNamespace(bitrate_bit_s=1_000_000))
+    session = session_of(shaft)
     session.found.modes = modes
     drive: Any = session.drive
 

@@ -1,7 +1,6 @@
 """The step that reads units, modes and limits of a drive, and all that it says."""
 
 import math
-from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
@@ -15,12 +14,11 @@ from servobench.drivers.timebase import NS_PER_MS, Duration
 from servobench.hil.commissioning import steps_static as module
 from servobench.hil.commissioning.drive_port import QUANTITY_OF_MODE
 from servobench.hil.commissioning.findings import StepFailed, StepOutcome
-from servobench.hil.commissioning.request import Nameplate
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_static import UnitsTold
 from tests.unit.drivers.eds_maker import four_pdos
 from tests.unit.drivers.eds_maker import sheet as sheet_of
-from tests.unit.hil.simulated_shaft import LIMITS, Shaft, session_of, shaft_of
+from tests.unit.hil.simulated_shaft import LIMITS, Shaft, request_of, session_of, shaft_of
 
 TRUTH = shaft_of(1e-3)
 DRIVE = Identity("it", 0x1A, 0x2B, 0x3C, 4, 402)
@@ -37,11 +35,9 @@ class Units:
         self.refusal = refusal
         monkeypatch.setattr(module, "read_scaling", self._read_scaling)
         shaft = Shaft(TRUTH)
-        request = SimpleNamespace(node=5, nameplate=Nameplate.model_validate(plate), trust_nameplate=True)
         self.session: Session = session_of(
             shaft,
-            request=request,
-            dialog=SimpleNamespace(attended=False),
+            request=request_of(plate, trust_nameplate=True),
             dictionary=None,
             sheet_told=None,
             motion_mode=lambda: self.session.found.modes[0] if self.session.found.modes else None,

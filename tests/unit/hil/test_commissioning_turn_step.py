@@ -1,6 +1,5 @@
 """The step that measures a turn: what becomes of the units of position and velocity."""
 
-from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
@@ -8,20 +7,24 @@ import pytest
 from servobench.drivers.cia402.objects402 import Object
 from servobench.hil.commissioning.findings import StepFailed, StepOutcome
 from servobench.hil.commissioning.identify import SpeedRatio
-from servobench.hil.commissioning.request import Nameplate
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_units import Turn, _unmeasured
-from tests.unit.hil.simulated_shaft import POSITION_RAD, VELOCITY_RAD_S, Shaft, session_of, shaft_of
+from tests.unit.hil.simulated_shaft import (
+    POSITION_RAD,
+    VELOCITY_RAD_S,
+    Answering,
+    Shaft,
+    request_of,
+    session_of,
+    shaft_of,
+)
 from tests.unit.hil.test_commissioning_units import TRUTH, run, times_configured
 
 
 def turning(counts: int | None, attended: bool = False, trusted: bool = False, **more: Any) -> Session:
     """A session without homing; 65536 position units are a turn by the drive's objects."""
-    plate = Nameplate.model_validate({"encoder": {"counts_per_revolution": counts}})
-    request = SimpleNamespace(nameplate=plate, trust_nameplate=trusted)
-    session = session_of(
-        Shaft(TRUTH), request=request, dialog=SimpleNamespace(attended=attended), idle=lambda: None, **more
-    )
+    request = request_of({"encoder": {"counts_per_revolution": counts}}, trust_nameplate=trusted)
+    session = session_of(Shaft(TRUTH), request=request, dialog=Answering("" if attended else None), **more)
     session.found.velocity_ratio = SpeedRatio(1.0, 0.01)
     session.found.rough = shaft_of(2e-3)
     return session

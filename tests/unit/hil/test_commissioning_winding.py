@@ -14,8 +14,8 @@ from servobench.hil.commissioning.nameplate import (
     rated_current,
     settle_winding,
 )
-from servobench.hil.commissioning.request import Nameplate
 from servobench.hil.commissioning.session import Session
+from tests.unit.hil.simulated_shaft import Answering, Shaft, request_of, session_of, shaft_of
 
 PLATE = {
     "motor": {"resistance_ohm": 0.5, "inductance_d_h": 1e-3, "inductance_q_h": 1e-3, "pole_pairs": 5},
@@ -34,18 +34,12 @@ def told(convention: str = "", **values: float) -> ToldMotor:
 def settled(tells: ToldMotor, answer: str | None = None, **plate: Any) -> tuple[Findings, StepOutcome]:
     """With somebody who gives ``answer`` to each question, or nobody."""
 
-    def line(_question: str, _idle: Any) -> str:
-        assert answer, "nobody was to be asked"
-        return answer
-
-    session = SimpleNamespace(
-        request=SimpleNamespace(trust_nameplate=False, nameplate=Nameplate.model_validate(plate or PLATE)),
-        dialog=SimpleNamespace(attended=answer is not None, line=line),
-        found=Findings(motor=tells),
-        idle=lambda: None,
-    )
+    dialog = Answering(answer)
+    session = session_of(Shaft(shaft_of(1e-3)), request=request_of(plate or PLATE), dialog=dialog)
+    session.found.motor = tells
     outcome = StepOutcome()
-    settle_winding(cast(Session, session), outcome)
+    settle_winding(session, outcome)
+    assert answer or not dialog.asked
     return session.found, outcome
 
 
@@ -116,7 +110,7 @@ def test_a_measured_torque_constant_that_contradicts_the_told_one_is_a_fault() -
 def test_the_makers_rated_current_goes_before_6075h(motor: ToldMotor, faults: int) -> None:
     """6075h holds 5657 mA: the peak of 4 A, which the standard would have as rms."""
     session = SimpleNamespace(
-        request=SimpleNamespace(nameplate=Nameplate.model_validate(PLATE)),
+        request=request_of(PLATE),
         objects=SimpleNamespace(read_if_there=lambda _index: 5657),
         found=Findings(motor=motor),
     )

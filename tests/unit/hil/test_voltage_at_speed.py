@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -13,7 +12,6 @@ from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.timebase import NS_PER_S, Instant
 from servobench.hil.commissioning.exercise import Recording
 from servobench.hil.commissioning.findings import ReadingsLost, Stated, StatedFigure, StepFailed, StepOutcome
-from servobench.hil.commissioning.request import Nameplate
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_voltage import (
     RunUp,
@@ -27,7 +25,7 @@ from servobench.hil.loop.context import TorqueSetPoint
 from servobench.hil.loop.samples import StateEstimate
 from servobench.hil.loop.scenario import Quantity
 from tests.unit.hil.cycles import in_cycle
-from tests.unit.hil.simulated_shaft import LIMITS, RATED_NM, Objects, Shaft, session_of, shaft_of
+from tests.unit.hil.simulated_shaft import LIMITS, RATED_NM, Objects, Shaft, request_of, session_of, shaft_of
 
 TRUTH = shaft_of(8e-4, 1e-3, 0.05)
 DC_LINK = (Object.DC_LINK_CIRCUIT_VOLTAGE, 0)
@@ -53,8 +51,7 @@ def session(
     objects = Objects({} if raw_mv is None else {DC_LINK: raw_mv})
     shaft = Limited(TRUTH, objects, lost=lost)
     shaft.speed_max_rad_s = speed_max_rad_s
-    request = SimpleNamespace(nameplate=Nameplate.model_validate({"rating": rating or {}}))
-    made = session_of(shaft, request=request, mechanics=TRUTH)
+    made = session_of(shaft, request=request_of({"rating": rating or {}}), mechanics=TRUTH)
     made.found.mechanics = TRUTH
     return made
 
