@@ -76,7 +76,7 @@ static double consumed(const InnerLoops *self)
     const MotorParameters *p = &self->motor;
     const MotorState *x = &self->shaft;
     double heat = p->torque_factor * p->resistance_ohm * (square(x->current_d_a) + square(x->current_q_a));
-    return heat + electric_torque(p, electric_state(x, p)) * x->speed_rad_s;
+    return heat + electric_torque(p, p->saturation.active, electric_state(x, p)) * x->speed_rad_s;
 }
 
 /* One inner period of the motor, and of the DC link that it is fed from. */
@@ -134,7 +134,7 @@ static double sample(InnerLoops *self)
     const Resolution *resolution = &self->resolution;
     const MotorState *shaft = &self->shaft;
     LoopState *state = &self->state;
-    double within_turn = floor(shaft->angle_rad * resolution->counts_per_rad), raw_speed;
+    double within_turn = floor_of_positive(shaft->angle_rad * resolution->counts_per_rad), raw_speed;
     if (self->encoder.active || self->encoder.loses || self->mechanism.encoder_on_load || p->encoder_held) {
         raw_speed = count_encoder(self);
         if (p->encoder_held || !self->mechanism.encoder_on_load)

@@ -122,7 +122,7 @@ static __attribute__((noinline)) double placed_nm(const Machine *s, const Phase 
 /* Torques on each mass but friction, N m. */
 ALWAYS_INLINE void pull(const Machine *s, const Phase *phase, const Motion *x, double *net)
 {
-    double made = electric_torque(s->p, x->current), load_nm = s->load_nm;
+    double made = electric_torque(s->p, s->p->saturation.active, x->current), load_nm = s->load_nm;
     if (s->m->cogging_points > 0)
         made += cogging_nm(s, x->angle);
     if (s->placed)
@@ -154,7 +154,7 @@ ALWAYS_INLINE Motion slopes(const Machine *s, const Phase *phase, const Motion *
     pull(s, phase, x, net);
     double electrical = s->p->pole_pairs * x->speed[ROTOR];
     Motion k = {
-        .current = current_slopes(s->p, x->voltage, x->current, electrical, s->live),
+        .current = current_slopes(s->p, s->p->saturation.active, x->voltage, x->current, electrical, s->live),
         .voltage = voltage_slopes(x->voltage, s->turning * electrical),
         .angle = x->speed[ROTOR],
         .twist = x->speed[ROTOR] - x->speed[LOAD],

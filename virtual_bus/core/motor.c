@@ -5,6 +5,7 @@
 #include "motor.h"
 
 #include <math.h>
+#include <stdbool.h>
 
 #include "limits.h"
 #include "machine_equations.h"
@@ -20,8 +21,9 @@ typedef struct Motion {
     double speed;
 } Motion;
 
-/* What does not change within a step. */
+/* What does not change within a step: constants where one is called. */
 typedef struct Forcing {
+    bool saturates;       /* the iron */
     double live, turning; /* as in Voltage */
     double resisting;     /* N m of load and Coulomb friction */
     double moving;        /* 0 holds the shaft */
@@ -58,25 +60,28 @@ void take_electric_state(MotorState *state, const MotorParameters *p, Pair x)
     state->current_q_a = current[1];
 }
 
-static inline Motion slopes(const MotorParameters *p, const Motion *x, const Forcing *f)
+/* What a step calls four times: as calls, or with what is constant asked for anew, it would take half as long again. */
+#define ALWAYS_INLINE static inline __attribute__((always_inline))
+
+ALWAYS_INLINE Motion slopes(const MotorParameters *p, const Motion *x, Forcing f)
 {
     double electrical = p->pole_pairs * x->speed;
-    double made = electric_torque(p, x->current);
-    double net = made - p->viscous_friction_nm_s * x->speed - f->resisting;
+    double made = electric_torque(p, f.saturates, x->current);
+    double net = made - p->viscous_friction_nm_s * x->speed - f.resisting;
     return (Motion){
-        .current = current_slopes(p, x->voltage, x->current, electrical, f->live),
-        .voltage = voltage_slopes(x->voltage, f->turning * electrical),
-        .speed = f->moving * net * p->per_inertia,
+        .current = current_slopes(p, f.saturates, x->voltage, x->current, electrical, f.live),
+        .voltage = voltage_slopes(x->voltage, f.turning * electrical),
+        .speed = f.moving * net * p->per_inertia,
     };
 }
 
-static inline Motion ahead(const Motion *x, const Motion *k, double h)
+ALWAYS_INLINE Motion ahead(const Motion *x, const Motion *k, double h)
 {
     return (Motion){x->current + h * k->current, x->voltage + h * k->voltage, x->speed + h * k->speed};
 }
 
 /* One classical step of fourth order, h seconds; returns the angle travelled. */
-static double runge_kutta(const MotorParameters *p, const Motion *x, const Forcing *f, double h, Motion *new)
+ALWAYS_INLINE double runge_kutta(const MotorParameters *p, const Motion *x, Forcing f, double h, Motion *new)
 {
     Motion k1 = slopes(p, x, f);
     Motion x2 = ahead(x, &k1, 0.5 * h);
@@ -95,31 +100,40 @@ static double runge_kutta(const MotorParameters *p, const Motion *x, const Forci
     return travelled;
 }
 
+static __attribute__((noinline)) double step_any(const MotorParameters *p, const Motion *x, Forcing f, double h,
+                                                 Motion *new)
+{
+    return runge_kutta(p, x, f, h, new);
+}
+
+/* A step of the moving shaft: fast where the inverter is on and the iron does not saturate. */
+ALWAYS_INLINE double step_moving(const MotorParameters *p, const Motion *x, Forcing f, double h, Motion *new)
+{
+    f.moving = 1.0;
+    if (f.saturates || f.live != 1.0 || f.turning != 1.0)
+        return step_any(p, x, f, h, new);
+    return runge_kutta(p, x, (Forcing){.live = 1.0, .turning = 1.0, .resisting = f.resisting, .moving = 1.0}, h, new);
+}
+
 /* h seconds with Coulomb friction: the step is cut where the shaft comes to rest, and there it stays as long
    as the friction holds it. Returns the angle travelled. */
-static double substep(const MotorParameters *p, Motion *x, Forcing f, double load_nm, double friction_nm, double h)
+static __attribute__((noinline)) double step_with_friction(const MotorParameters *p, Motion *x, Forcing f, double load_nm,
+                                                           double friction_nm, double h)
 {
     Motion new;
     double travelled = 0.0;
-    f.moving = 1.0;
-    if (friction_nm == 0.0) {
-        f.resisting = load_nm;
-        travelled = runge_kutta(p, x, &f, h, &new);
-        *x = new;
-        return travelled;
-    }
     for (int cut = 0; cut < 4; cut++) {
         double sign;
         if (x->speed != 0.0) {
             sign = x->speed > 0.0 ? 1.0 : -1.0;
         } else {
-            double net = electric_torque(p, x->current) - load_nm;
+            double net = electric_torque(p, f.saturates, x->current) - load_nm;
             if (fabs(net) <= friction_nm)
                 break;
             sign = net > 0.0 ? 1.0 : -1.0;
         }
         f.resisting = load_nm + sign * friction_nm;
-        double angle = runge_kutta(p, x, &f, h, &new);
+        double angle = step_moving(p, x, f, h, &new);
         if (new.speed * sign >= 0.0) {
             *x = new;
             return travelled + angle;
@@ -127,26 +141,34 @@ static double substep(const MotorParameters *p, Motion *x, Forcing f, double loa
         if (x->speed == 0.0)
             break;
         double fraction = x->speed / (x->speed - new.speed);
-        travelled += runge_kutta(p, x, &f, fraction * h, &new);
+        f.moving = 1.0;
+        travelled += step_any(p, x, f, fraction * h, &new);
         *x = new;
         x->speed = 0.0;
         h *= 1.0 - fraction;
     }
     f.resisting = f.moving = 0.0;
-    runge_kutta(p, x, &f, h, &new);
+    step_any(p, x, f, h, &new);
     *x = new;
     return travelled;
 }
 
 void advance_motor(MotorState *state, const MotorParameters *p, Voltage voltage, double load_nm, double brake_nm)
 {
+    Forcing f = {.saturates = p->saturation.active, .live = voltage.live, .turning = voltage.turning};
     double friction_nm = p->coulomb_friction_nm + brake_nm;
     Motion x = {electric_state(state, p), {voltage.d, voltage.q}, state->speed_rad_s};
-    Forcing forcing = {.live = voltage.live, .turning = voltage.turning};
     double angle = state->angle_rad;
-    for (int step = 0; step < (int)p->substeps; step++)
-        angle += substep(p, &x, forcing, load_nm, friction_nm, p->step_s);
-    double turns = floor(angle * PER_TURN);
+    for (double step = 0.0; step < p->substeps; step++) {
+        if (friction_nm != 0.0) {
+            angle += step_with_friction(p, &x, f, load_nm, friction_nm, p->step_s);
+            continue;
+        }
+        f.resisting = load_nm;
+        angle += step_moving(p, &x, f, p->step_s, &x);
+    }
+    double turned = angle * PER_TURN;
+    double turns = turned >= 0.0 ? floor_of_positive(turned) : floor(turned);
     take_electric_state(state, p, x.current);
     state->speed_rad_s = x.speed;
     /* Rounding may leave the angle a hair outside of its turn. */
