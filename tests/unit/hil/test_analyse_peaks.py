@@ -14,6 +14,7 @@ def analyse(controller: str, *options: str) -> Result:
     return CliRunner().invoke(app, ["analyse", "peaks", f"{FOLDER}/{controller}", *options])
 
 
+@pytest.mark.long
 def test_each_number_of_losses_has_its_bound() -> None:
     result = analyse("ling2012-fused.toml", "--command-losses-max", "1", "--json")
     assert result.exit_code == 0, result.output

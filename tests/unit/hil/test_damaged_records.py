@@ -118,6 +118,7 @@ def test_a_batch_of_twenty_million_rows_is_refused_before_it_is_unpacked(run: Pa
     assert int(ended.stdout) < 800_000, "kB"
 
 
+@pytest.mark.long
 def test_half_a_file_is_not_compared_and_is_drawn_as_far_as_it_goes(run: Path, tmp_path: Path) -> None:
     """Its rows are those of the whole one, as far as they go: a gate would pass them."""
     half = Path(shutil.copytree(run, tmp_path / "half"))

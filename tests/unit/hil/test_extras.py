@@ -173,6 +173,7 @@ def test_from_python_the_extra_is_named_too(monkeypatch: pytest.MonkeyPatch) -> 
         _ = servobench.campaign
 
 
+@pytest.mark.long
 def test_a_run_that_writes_no_files_loads_neither_arrow_nor_an_extra() -> None:
     program = (
         "import sys; from servobench.hil.cli import main\n"

@@ -55,10 +55,12 @@ def commissioned(folder: Path, *strangers: ForeignNode) -> list[str]:
     ]
 
 
+@pytest.mark.long
 def test_a_commissioning_by_itself_sees_nobody(tmp_path: Path) -> None:
     assert commissioned(tmp_path) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("what", STRANGERS)
 def test_a_commissioning_tells(tmp_path: Path, what: str) -> None:
     first, last = commissioned(tmp_path, ForeignNode(STRANGERS[what], 1.5, times=3))

@@ -72,6 +72,7 @@ def test_a_plate_of_a_program_is_refused_before_anything_moves(tmp_path: Path) -
     assert result.error is not None
 
 
+@pytest.mark.long
 def test_a_torque_alone_that_the_drives_current_and_voltage_cannot_make_is_refused_though_trusted(
     tmp_path: Path,
 ) -> None:
@@ -96,6 +97,7 @@ def units_step(tables: dict[str, Any], folder: Path, seed: int = SEED) -> tuple[
     return result, next(record for record in result.records if record.name == "units")
 
 
+@pytest.mark.long
 def test_stall_torque_and_current_beside_the_drives_rated_ones_are_of_one_motor(tmp_path: Path) -> None:
     """The unit of 6077h is 6076h, whichever point the plate is of."""
     own = unknown_drive(TRUE_SEED)[1].nameplate

@@ -214,6 +214,7 @@ def test_what_is_no_log_of_drives_is_refused(tmp_path: Path) -> None:
         assert CliRunner().invoke(app, ["review", *arguments]).exit_code == 2
 
 
+@pytest.mark.long
 def test_a_run_seen_through_its_log_alone(servo_bench: BenchRunner, tmp_path: Path) -> None:
     """Losses, states and speeds are those that the bench has recorded."""
     run = servo_bench(BENCH, {"bench.duration_s": 1.2})

@@ -73,6 +73,7 @@ def test_each_value_comes_back_bit_for_bit(seed: int, tmp_path: Path) -> None:
         assert again.device == (frozenset((0xA11,)), frozenset((0xB22,)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(3))
 def test_a_text_is_kept_if_a_line_of_the_file_gives_it_back(seed: int, tmp_path: Path) -> None:
     draw, path = random.Random(seed), tmp_path / "drive.dcf"
