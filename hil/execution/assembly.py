@@ -4,6 +4,7 @@ with the files of user code.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,6 +27,8 @@ from servobench.hil.loop.quantity_by_mode import QUANTITY_BY_MODE
 from servobench.hil.loop.safety import Limits, PositionLimits, SafetyGuard, SpeedLimits, TorqueLimits
 from servobench.hil.loop.scenario import Quantity, ReferenceProfile
 from servobench.hil.loop.syncs import SyncLog
+from servobench.hil.recording.run_recorder import RunRecorder
+from servobench.hil.rows.events import QUIET
 from servobench.virtual_bus.bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
 from servobench.virtual_bus.frame import Frame
 
@@ -133,6 +136,21 @@ def simulated(config: BenchConfig) -> "Sequence[SimulatedServo]":
     from servobench.hil.execution.simulated_drives import simulated_drives
 
     return simulated_drives(config)
+
+
+def tell_changes(config: BenchConfig, servos: "Sequence[SimulatedServo]", recorder: RunRecorder) -> None:
+    """Let the recording have what changes inside the drives that the bench simulates."""
+    if not servos:
+        return
+    from servobench.virtual_bus.drive.parts_watch import PartChange, PartsWatch
+
+    def note(axis: str, change: PartChange) -> None:
+        recorder.state(change.at, f"{axis} {change.part}", change.state or QUIET)
+        if change.text:
+            recorder.event(change.at, "WARN" if change.limits else "INFO", f"{axis}: {change.text}")
+
+    for axis, servo in zip(config.axes, servos, strict=True):
+        PartsWatch(servo.drive, partial(note, axis))
 
 
 def loop_timing(config: BenchConfig) -> LoopTiming:

@@ -170,6 +170,7 @@ class _Run:
         )
         self._load = LoadMachines(config, self._network, recorder, self.servos)
         world.tell_troubles(recorder.event)
+        assembly.tell_changes(config, self.servos, recorder)
         if config.recording.frames:
             segments.record_frames(world, recorder.tap)
 

@@ -21,7 +21,7 @@ from servobench.hil.reviewing.trace.decoder import decode
 from servobench.hil.reviewing.trace.frame_columns import LogWindow
 from servobench.hil.reviewing.trace.run_trace import RecordedBus
 from servobench.hil.reviewing.trace.trace_entry import TraceEntry
-from servobench.hil.rows.events import ACTIVE, INJECTED_TRACK, read_events
+from servobench.hil.rows.events import ACTIVE, INJECTED_TRACK, PARTS, QUIET, read_events
 from servobench.hil.rows.records import Rows
 from servobench.hil.rows.records_file import read_some
 from servobench.hil.rows.run_files import EVENTS_FILE, RECORDS_FILE
@@ -305,7 +305,7 @@ def _instant_of(text: str, events: Sequence[Mapping[str, Any]]) -> int | None:
 
 def _before(events: Sequence[Mapping[str, Any]], place: GuiltyPlace) -> list[str]:
     """What the events say of the time just before a place and within, and which faults were active then."""
-    active: dict[str, int] = {}
+    active: dict[str, tuple[int, str]] = {}
     told = list[tuple[int, str]]()
     for event in sorted(events, key=lambda each: int(each["at_ns"])):
         at_ns = int(event["at_ns"])
@@ -314,15 +314,17 @@ def _before(events: Sequence[Mapping[str, Any]], place: GuiltyPlace) -> list[str
         track = str(event.get("track", ""))
         if track.startswith(INJECTED_TRACK):
             if event.get("state") == ACTIVE:
-                active[track] = at_ns
+                active[track] = at_ns, f"{track}, active"
             else:
                 active.pop(track, None)
+        elif track.rpartition(" ")[2] in PARTS:
+            active.pop(track, None)
+            if (state := str(event.get("state"))) != QUIET:
+                active[track] = at_ns, f"{track}: {state}"
         elif "text" in event and at_ns >= place.begin_ns - BEFORE_NS and (at_ns >= 0 or place.begin_ns < 0):
             told.append((at_ns, str(event["text"])))
     since = [
-        (at_ns, f"{track}, active since then")
-        for track, at_ns in active.items()
-        if at_ns < place.begin_ns - BEFORE_NS
+        (at_ns, f"{text} since then") for at_ns, text in active.values() if at_ns < place.begin_ns - BEFORE_NS
     ]
     lines = [*since, *told[-_EVENTS_MAX:]]
     return [f"{at_ns / NS_PER_S:.6f} s  {printable(text)}" for at_ns, text in lines]

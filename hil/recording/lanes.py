@@ -12,7 +12,7 @@ from servobench.hil.loop.cycle_record import CAUSES
 from servobench.hil.reviewing.envelope import CodeLane, Envelope
 from servobench.hil.reviewing.review import Review
 from servobench.hil.reviewing.tracking_error import PositionErrorMeter, SpeedErrorMeter, speed_limits
-from servobench.hil.rows.events import INJECTED_TRACK, QUIET
+from servobench.hil.rows.events import INJECTED_TRACK, PARTS, QUIET
 from servobench.hil.rows.recording_plan import ReviewPlan
 from servobench.hil.rows.records import (
     HOST_IN_TIME,
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 STATES: Final = "/state"
 """The entity of all lanes. Each is a component of it, called like its track: what the viewer writes above."""
-_VERDICT, _LIMITS, _ERROR, _DROPOUTS, _INJECTED, _LINK, _HOST, _DRIVE, _PHASE, _OTHER = range(10)
+_VERDICT, _LIMITS, _ERROR, _DROPOUTS, _INJECTED, _PART, _LINK, _HOST, _DRIVE, _PHASE, _OTHER = range(11)
 """The order of the lanes."""
 VERDICT_TRACK: Final = "verdict"
 """Track of the whole run's verdict; an axis' track shows its speed error alone."""
@@ -66,6 +66,17 @@ _DRIVE_COLORS: Final = {
     State.FAULT_REACTION: _RED,
     State.FAULT: 0x8B1520FF,
 }
+_PART_COLORS: Final = {
+    "Limited": _RED,
+    "Warned": _AMBER,
+    "Low": _RED,
+    "Charged": _DIM,
+    "Braking resistor": _AMBER,
+    "Holds": _GOOD,
+    "Opening": _DIM,
+    "Closing": _AMBER,
+}
+"""States of a simulated drive's parts that are not as usual; others get a colour of the viewer's choice."""
 _PHASE_COLORS: Final = {
     "Connecting": _DIM,
     "Configuring": 0x4A4F7AFF,
@@ -129,6 +140,7 @@ def lane(track: str, colors: Mapping[str, int]) -> "Visualizer":
 
 def _place(track: str, axes: Sequence[str]) -> int:
     kinds = {"error": _ERROR, "drive": _DRIVE, "link": _LINK, DROPOUTS: _DROPOUTS, BY_CYCLE: _DROPOUTS}
+    kinds |= dict.fromkeys(PARTS, _PART)
     axis, _, kind = track.rpartition(" ")
     if axis in axes and kind in kinds:
         return kinds[kind]
@@ -155,6 +167,7 @@ def lane_colors(track: str, axes: Sequence[str]) -> Mapping[str, int]:
         _LINK: {LINK_OK: _GOOD, LINK_DEGRADED: _AMBER, LINK_DOWN: _RED},
         _DROPOUTS: {QUIET: _DARK, **_CAUSE_COLORS},
         _HOST: {HOST_IN_TIME: _GOOD, HOST_MISSED: _RED},
+        _PART: {QUIET: _DARK, **_PART_COLORS},
     }.get(place, {})
 
 

@@ -77,6 +77,8 @@ INJECTED_TRACK: Final = "injected "
 """Prefix of a fault's track; its kind, ": ", and the place follow."""
 ACTIVE, QUIET = "active", "-"
 """Its states."""
+PARTS: Final = ("current", "supply", "stops", "switches", "brake")
+"""Tracks of an axis whose drive the bench simulates: what in it, or in its machine, is not as usual."""
 _IN_WINDOWS: Final = frozenset(code for code, kind in enumerate(LOG_KINDS) if kind.in_windows)
 
 

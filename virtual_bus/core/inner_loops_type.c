@@ -575,6 +575,7 @@ static PyMemberDef members[] = {
     PARAMETER(shaft, turns),
     NUMBER("load_speed_rad_s", load_side.speed_rad_s),
     NUMBER("twist_rad", load_side.twist_rad),
+    NUMBER("stop_touched", load_side.stop),
     NUMBER("stop_hits", load_side.hits),
     NUMBER("stop_hit_rad_s", load_side.hit_rad_s),
     NUMBER("voltage_d_v", state.now.voltage_d_v),

@@ -274,6 +274,8 @@ class InnerLoops:
     load_speed_rad_s: float
     twist_rad: float
     """Rotor's angle less the load's."""
+    stop_touched: float
+    """1 or -1: the load is at an end stop."""
     stop_hits: float
     """How often an end stop has been hit."""
     stop_hit_rad_s: float

@@ -71,10 +71,10 @@ class ServoApplication(Application):
         self.motor = motor
         self.drive = drive
         self.firmware = Firmware(motor, drive)
-        self._powered = False
-        self._motion = MotorAction.OFF
-        self._revision = -1
-        self._controlword = 0
+        self._powered, self._motion = False, MotorAction.OFF
+        self._revision, self._controlword = -1, 0
+        self.look: Callable[[], None] = lambda: None
+        """Called where the cyclic values are told, if something is watched."""
         self._deafen: Callable[[OperationMode], DeafMode] | None = None
         """Makes a mode one that follows no set-points, while that is so."""
         self._task: OperationMode | None = None
@@ -156,9 +156,8 @@ class ServoApplication(Application):
     def _stop_on(self) -> None:
         """The shaft is being brought to rest, and has turned on."""
         power, brake = self.power, self.brake
-        if self.firmware.rested_for_s() < REST_S:
-            return
-        if power.stays or (brake.opens() if power.enabling else brake.closes()):
+        rests = self.firmware.rested_for_s() >= REST_S
+        if rests and (power.stays or (brake.opens() if power.enabling else brake.closes())):
             power.rested()
             self._act()
 
@@ -190,6 +189,7 @@ class ServoApplication(Application):
 
     def _tell_protection(self) -> None:
         """A warning, and a trip, which has opened the power stage by itself."""
+        self.look()
         if self.firmware.inner.warning:
             self.objects.statusword.value |= Status.WARNING
         if (trip := self._failures.new_trip()) is not Trip.NONE:
