@@ -186,11 +186,15 @@ class ClockQuestion:
 
     def answers(self, suspects: list[Suspect], *, unlikely: bool) -> list[Line]:
         """The ways to place the last suspects that are likely enough, the one first of which least must have
-        happened. ``unlikely``: or a step, and that the smallest delay has changed by less than a period."""
+        happened. ``unlikely``: or a step, and that the smallest delay has changed by less than a period, or
+        whatever is needed for the only one, if all suspects lie on it."""
         last, earlier = suspects[-self.agreeing :], suspects[: -self.agreeing]
+        lines = self._borne_out(self.lines(last), earlier)
+        if unlikely and len(lines) == 1 and self._misfit(lines[0], earlier) <= MISFIT_MOST * len(earlier):
+            return lines
         lines = [
             line
-            for line in self._borne_out(self.lines(last), earlier)
+            for line in lines
             if line.cost <= LIKELY_COST_MAX or (unlikely and line.delay_change < 2 * self._half)
         ]
         return sorted(lines, key=lambda line: (line.cost, line.steps, line.delay_change))

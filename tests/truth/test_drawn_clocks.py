@@ -88,3 +88,9 @@ def test_a_line_is_borne_out_by_all_readings_since_the_question() -> None:
     """Clock and delay changed at once, so the right line was too unlikely to be taken soon; eight readings,
     looked at seven times, lay on a wrong one by chance: 375 rows, 251 commands."""
     verdict_of(460486, 1180)
+
+
+def test_the_only_line_on_which_all_suspects_lie_is_taken_whatever_it_needs() -> None:
+    """Delays of up to five periods in which no frame overtakes: the smallest of 32 seemed to have changed by
+    more than a period, the clock was held for unmoved, and readings lay 900 us off: 5 rows."""
+    assert verdict_of(460508, 170).readings.uncertain <= 80
