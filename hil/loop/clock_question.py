@@ -264,7 +264,7 @@ class ClockQuestion:
             mark = self._syncs.nearest(Instant(at + middle))
             if mark is None or mark.on_bus_at is None:
                 return None
-            if self._syncs.may_lack(mark, Instant(at + middle)):
+            if self._syncs.may_lack(mark, Instant(at + middle)) or (marks and mark.sequence == SURPLUS):
                 marks.append(None)
                 continue
             if mark.number in used or mark.sequence == SURPLUS:
@@ -289,11 +289,10 @@ class ClockQuestion:
         misfit = squares / (2.0 * self._stamps.variance_ns2)
         if not steps and any(self._is_second(mark, stamp, last, marks) for mark, stamp in self.revoked):
             return None
-        if steps and self.revoked:
-            unmoved = self._syncs.nearest(unmoved_at)
-            if unmoved is not None and not self._agrees(used, first.number - unmoved.number):
-                return None
-        return self._costed(marks, smallest, steps, misfit, origin_at - unmoved_at + round(mean))
+        moved_by = origin_at - unmoved_at + round(mean)
+        if steps and self.revoked and not self._agrees(used, moved_by):
+            return None
+        return self._costed(marks, smallest, steps, misfit, moved_by)
 
     def _is_anothers(self, mark: SyncMark, suspect: Suspect) -> bool:
         """Return whether the SYNC of ``mark`` has a reading that is not the suspect."""
@@ -363,14 +362,19 @@ class ClockQuestion:
         most = min(delays) + self.delays.high - self.delays.low + self.delays.slack() + self._half
         return [each for each, delay in zip(placed, delays, strict=True) if delay <= most]
 
-    def _agrees(self, used: set[int], moved: int) -> bool:
-        """True if the readings before the suspects can be placed as well, if the clock was set among them.
+    def _agrees(self, used: set[int], moved_by: int) -> bool:
+        """Return whether the readings before the suspects can be placed as well, if the clock was set among
+        them.
 
-        Those since then lie ``moved`` SYNCs from where they were placed; no two may lie on one SYNC.
+        The stamps of those since then are later by ``moved_by``; no two may lie on one SYNC.
         """
         numbers = [mark.number for mark, _ in self.revoked]
+        since = [
+            -1 if (mark := self._syncs.nearest(Instant(at + moved_by))) is None else mark.number
+            for at in (self._stamps.clock.place(stamp) for _, stamp in self.revoked)
+        ]
         for split in range(len(numbers) + 1):
-            placed = numbers[:split] + [number + moved for number in numbers[split:]]
+            placed = numbers[:split] + since[split:]
             taken = used.union(placed)
             if len(taken) == len(used) + len(placed) and not taken.intersection(self.stamps):
                 return True

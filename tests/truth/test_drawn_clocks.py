@@ -94,3 +94,9 @@ def test_the_only_line_on_which_all_suspects_lie_is_taken_whatever_it_needs() ->
     """Delays of up to five periods in which no frame overtakes: the smallest of 32 seemed to have changed by
     more than a period, the clock was held for unmoved, and readings lay 900 us off: 5 rows."""
     assert verdict_of(460508, 170).readings.uncertain <= 80
+
+
+def test_a_sync_of_another_that_began_no_cycle_is_one_that_a_drive_answers() -> None:
+    """It came too soon behind the last, and the right line met it: one that was two periods off was taken.
+    4 of 260 rows were wrong, 118 in doubt; 1302 of 1500."""
+    assert verdict_of(460514, 260).readings.uncertain <= 40
