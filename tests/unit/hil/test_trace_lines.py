@@ -120,6 +120,7 @@ def drawn_log(dice: random.Random, count: int) -> str:
     return "".join(f"{line}\n" for line in lines)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("as_json", [False, True], ids=["text", "json"])
 @pytest.mark.parametrize("seed", range(8))
 def test_drawn_buses(tmp_path: Path, seed: int, as_json: bool) -> None:
