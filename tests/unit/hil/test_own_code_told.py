@@ -146,12 +146,13 @@ def test_names_and_values_that_are_none(tmp_path: Path, method: str) -> None:
     path = tmp_path / "c.py"
     path.write_text(
         "from servobench import Controller\n"
-        "class C(Controller):\n    def output(self, context):\n        pass\n"
+        "class C(Controller):\n    def __init__(self, setup):\n        pass\n"
+        "    def output(self, context):\n        pass\n"
         f"    def {method}(self):\n        pass\n"
     )
     told = failure_of(lambda: guarded_controller(f"{path}:C", {}, SETUP).telemetry())
     expected = {"channels": "a tuple of names", "telemetry": "a value for each of ()"}[method]
-    assert told == f"axis1: the controller C failed: c.py:5 in {method} returned None, expected {expected}"
+    assert told == f"axis1: the controller C failed: c.py:7 in {method} returned None, expected {expected}"
 
 
 def test_parameters_that_a_class_does_not_take(mine: Path) -> None:

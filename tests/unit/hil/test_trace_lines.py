@@ -135,6 +135,7 @@ def test_drawn_buses(tmp_path: Path, seed: int, as_json: bool) -> None:
             assert by_columns(log, KnownNodes(sheets), selection, zero_ns, as_json) == expected
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("example", ["ling2012.toml", "two_segments.toml"])
 def test_a_run(servo_bench: BenchRunner, example: str) -> None:
     run = RecordedBus(servo_bench(EXAMPLES / example).folder)

@@ -36,6 +36,7 @@ def changed(path: Path, folder: Path, old: str, new: str) -> Path:
     return file
 
 
+@pytest.mark.long
 def test_the_files_of_the_examples_are_proved() -> None:
     names = ("ling2012-static", "network-k", "ling2012-hinf", "ling2012-predictor", "ling2012-fused")
     done = verify(*(CONTROLLERS / f"{name}.toml" for name in names))
@@ -107,6 +108,7 @@ def test_what_lies_between_two_instants_of_a_grid_counts() -> None:
     assert all(claim.refused for claim in claims_of(table, room=1e9))
 
 
+@pytest.mark.long
 def test_order_cuts_the_cells_of_windows_that_overlap() -> None:
     """A delay of 1.34 periods: the windows of two samples have different instants, and in cells that are no
     squares the ordered corners left out some of the steps; this decay was 3e-5 of itself too fast."""

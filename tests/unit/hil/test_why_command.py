@@ -111,6 +111,7 @@ def test_a_reader_sees_cycles_frames_and_the_commands_that_open_them(ran: tuple[
     assert len(everything) > 1000 > 150 > len(lines)
 
 
+@pytest.mark.long
 def test_the_end_of_a_run_that_did_not_pass_says_it_in_short(ran: tuple[Path, str], tmp_path: Path) -> None:
     run, printed = ran
     why = [line for line in printed.splitlines() if line.startswith("Why ")]
@@ -124,6 +125,7 @@ def test_the_end_of_a_run_that_did_not_pass_says_it_in_short(ran: tuple[Path, st
     assert "no reading in cycles" in fine.stdout, "a burst is worth telling all the same"
 
 
+@pytest.mark.long
 def test_a_drive_fault_is_found_by_its_time(tmp_path: Path) -> None:
     fault = '[[faults.drive_fault]]\nnodes = [1]\nat_s = 0.3\nfault = "over_temperature"\n\n'
     ended = hil("run", bench_file(tmp_path, HALF, fault), "--record", tmp_path / "run")
