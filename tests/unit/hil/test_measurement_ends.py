@@ -1,6 +1,6 @@
 """Every way out of a measurement of simulated drives: what is left, and what failed told with its cure."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from servobench.drivers.cia402.profile import State
 from servobench.drivers.errors import PeerFault
 from servobench.drivers.timebase import NS_PER_S, Duration, Instant
 from servobench.drivers.wire.link import BusLink, StampSource
+from servobench.hil.measuring.figures import Measured
 from servobench.hil.restoring.journal import read_journal
 from servobench.hil.restoring.restore import restore
 from tests.scenario.cut_bus import CutBus
@@ -30,19 +31,24 @@ class Leaving:
         """While it measures."""
         self.cut = CutBus(rig.world.link.bus)
         self.whole = rig.world
-        self.unplugs = False
+        self.elapsed_s: dict[str, float] = {}
+        self.at_the_end: Callable[[], object] = lambda: None
+        """Done when it begins to leave."""
         link = BusLink(self.cut, rig.world.clock, StampSource.MONOTONIC, "simulated")
         link.tap(self._take)
         rig.world = replace(rig.world, link=link)
 
     def __call__(self, phase: str, elapsed_s: float) -> None:
-        del elapsed_s
+        self.elapsed_s[phase] = elapsed_s
         if self.stages[-1:] != [phase]:
             self.stages.append(phase)
         if phase == "measuring" and self.raises is not None:
             raise self.raises
-        if phase == "putting back" and self.unplugs:
-            self.cut.unplugged_at = self.cut.sent
+        if phase == "putting back":
+            self.at_the_end()
+
+    def unplug(self) -> None:
+        self.cut.unplugged_at = self.cut.sent
 
     def _take(self, _way: str, can_id: int, data: bytes, _ext: bool, _remote: bool, _at: Instant) -> None:
         self.frames.append((can_id, data))
@@ -54,8 +60,8 @@ def rig(tmp_path: Path) -> Iterator[Rig]:
         yield made
 
 
-def measure(rig: Rig, leaving: Leaving) -> None:
-    rig.measure(progress=leaving, cycles=CYCLES, enable=True, period_us=2000)
+def measure(rig: Rig, leaving: Leaving) -> Measured:
+    return rig.measure(progress=leaving, cycles=CYCLES, enable=True, period_us=2000)
 
 
 def states(rig: Rig) -> set[State]:
@@ -64,7 +70,9 @@ def states(rig: Rig) -> set[State]:
 
 def test_all_is_as_before_the_journals_are_gone_and_the_host_falls_silent(rig: Rig) -> None:
     before, leaving = rig.memory(), Leaving(rig)
-    measure(rig, leaving)
+    assert measure(rig, leaving).cycles == CYCLES
+    assert leaving.elapsed_s["putting back"] == 0.0
+    assert leaving.elapsed_s["measuring"] == leaving.elapsed_s["evaluating"] == CYCLES * 0.002
     assert leaving.stages == [
         "connecting", "configuring", "calibrating", "enabling", "measuring", "putting back", "evaluating",
     ]  # fmt: skip
@@ -90,13 +98,14 @@ def test_drives_that_answer_no_more_are_told_with_the_command_that_puts_them_bac
 ) -> None:
     """An error of the run comes out in the place of theirs."""
     before, leaving = rig.memory(), Leaving(rig)
-    leaving.unplugs, leaving.raises = True, error
+    leaving.at_the_end, leaving.raises = leaving.unplug, error
     with pytest.raises(PeerFault if error is None else type(error)) as caught:
         measure(rig, leaving)
     journals = [rig.folder / f"node{node}.jsonl" for node in (1, 2)]
     for node, journal in enumerate(journals, 1):
         assert any(said.startswith(f"node {node} is not confirmed at rest: ") for said in rig.said)
         assert f"hil restore {journal}" in rig.said
+    assert len(rig.said) == 6, "and why each could not be put back"
     if error is None:
         assert str(caught.value) == f"not everything is as it was; {'; '.join(rig.said)}"
     assert leaving.stages[-1] == "putting back", "nothing is evaluated"
@@ -117,3 +126,28 @@ def test_an_error_of_the_run_comes_out_after_everything_was_put_back(rig: Rig) -
     assert (rig.said, rig.folder.exists(), states(rig)) == ([], False, {State.SWITCH_ON_DISABLED})
     rig.world = leaving.whole
     assert rig.memory() == before
+
+
+def test_what_is_put_back_is_noted_in_a_journal_that_has_to_stay(rig: Rig) -> None:
+    """Node 2 refuses what it held; and node 1 watches its host no more when it is let go."""
+    leaving = Leaving(rig)
+    first, second = (servo.dictionary for servo in rig.servos)
+
+    def spoil() -> None:
+        first.download(0x1016, 1, bytes(4))
+        held = second.variable(0x6072)
+        held.show_instead(int(held.read()) + 1)
+
+    leaving.at_the_end = spoil
+    with pytest.raises(PeerFault, match=r"^not everything is as it was; 6072:00 holds "):
+        measure(rig, leaving)
+    unwatched, differs, command = rig.said
+    assert unwatched.startswith("node 1: ")
+    assert "1016h" in unwatched
+    assert differs.startswith("6072:00 holds ")
+    assert command == f"hil restore {rig.folder / 'node2.jsonl'}"
+    done, waits = (read_journal(rig.folder / f"node{node}.jsonl") for node in (1, 2))
+    assert (done.restored, waits.restored) == (True, False)
+    lines = (rig.folder / "node1.jsonl").read_text().splitlines()
+    assert lines[-1] == '{"restored": 1}'
+    assert sum('"6072:00"' in line for line in lines) == 1, "putting it back is no change"
