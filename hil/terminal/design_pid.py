@@ -56,7 +56,7 @@ def pid(asked: PidOptions) -> None:
     from servobench.hil.terminal.current_report import print_current, refused
 
     controller, loop_hz = _current_loop(asked.current_control, asked.current_loop)
-    motor = rigid_motor(asked.motor)
+    motor = rigid_motor(asked.motor, knows_coupling=True)
     closed, crossover = current_loop_of(motor, controller, loop_hz)
     with refused(str(asked.motor)):
         gains = pid_by_rule(

@@ -126,12 +126,12 @@ def motor_file(path: Path, option: str = "MOTOR.toml") -> "MotorFile":
     return load_motor(path, NamedBy(option, "", str(path)))
 
 
-def rigid_motor(path: Path) -> "PmsmParameters":
-    """The motor of a design, which knows no coupling and no place; what it leaves out is said. Raises
-    BadInput or BadInputs."""
+def rigid_motor(path: Path, knows_coupling: bool = False) -> "PmsmParameters":
+    """The motor of a design, which knows no place, and no coupling unless ``knows_coupling``; what it leaves
+    out is said. Raises BadInput or BadInputs."""
     motor = motor_file(path).parameters
     mechanism = motor.mechanism
-    if mechanism is not None and mechanism.coupling is not None:
+    if mechanism is not None and mechanism.coupling is not None and not knows_coupling:
         found_hz = f"{mechanism.coupling.resonance_hz:.3g} Hz"
         say(f"hil: note: {path}: a rigid shaft is assumed, the coupling's resonance at {found_hz} left out")
     if mechanism is not None and mechanism.load is not None and mechanism.load.of_its_place:
