@@ -36,6 +36,7 @@ def test_the_page_quotes_messages() -> None:
     assert len({message for message, _, _ in QUOTED}) == len(QUOTED)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("message", [message for message, _, _ in QUOTED])
 def test_a_quoted_message_is_one_of_the_source(message: str, texts: str) -> None:
     """``expected`` before what was expected comes from BadInput, in front of a text of its own."""

@@ -152,6 +152,7 @@ def test_other_limits_have_places_of_their_own(ran: tuple[Path, str], tmp_path: 
     assert not any("overshoot" in text for place in told["places"] for text in place["told"])
 
 
+@pytest.mark.long
 def test_nothing_went_wrong_with_a_run_that_passed(tmp_path: Path) -> None:
     (tmp_path / "limits.toml").write_text("[verdict]\nlosses_in_a_row_max = 20\n")
     ended = hil("why", short_run(tmp_path / "run"), "--against", tmp_path / "limits.toml")
