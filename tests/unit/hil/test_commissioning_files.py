@@ -2,18 +2,23 @@
 
 import math
 import tomllib
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
 from servobench.drivers.cia402.drive_setup import Identity
 from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.pdo_planner import mode_plan
+from servobench.drivers.cia402.pdo_plans import PlanWish
 from servobench.drivers.cia402.profile import Mode, QuickStopOption, run_words
 from servobench.drivers.cia402.scaling import ScaleOverride
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.timebase import NS_PER_MS, Duration
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.hil.commissioning.dialog import Dialog
 from servobench.hil.commissioning.files import (
     _motor_text,
     dcf_text,
@@ -23,12 +28,20 @@ from servobench.hil.commissioning.files import (
 )
 from servobench.hil.commissioning.findings import Stated
 from servobench.hil.commissioning.identify import Mechanics
-from servobench.hil.commissioning.request import Nameplate
 from servobench.hil.commissioning.session import Session
 from servobench.hil.configuration.bench_file import load_bench
 from servobench.hil.configuration.network_file import Network, load_network
-from servobench.hil.restoring.journal import ObjectKey
-from tests.unit.hil.simulated_shaft import LIMITS, RATED_NM, Shaft, session_of, shaft_of
+from servobench.hil.execution.world import WorldPlan, open_world
+from servobench.hil.restoring.journal import (
+    DriveMark,
+    Journal,
+    JournaledNetwork,
+    JournalHead,
+    ObjectKey,
+    ObjectWrite,
+)
+from servobench.hil.write_lists import COMMISSION
+from tests.unit.hil.simulated_shaft import LIMITS, RATED_NM, Shaft, request_of, session_of, shaft_of
 
 IDENTITY = Identity("a drive", 7, 8, 1, 9, 0)
 MECHANICS = Mechanics(1e-3, 2e-3, 0.05, 0.01, 0.0, 0.0, 0.0, 99, 0.001)
@@ -39,16 +52,8 @@ RESTS = "Each figure in N m or kg m^2 rests on the rated torque of 6076h, 1.6 N 
 
 
 def session(plate: dict[str, Any] | None = None, **more: Any) -> Session:
-    request = SimpleNamespace(
-        node=5,
-        bus="hub:a",
-        bitrate_bit_s=500_000,
-        heartbeat_ms=50,
-        heartbeat_timeout_ms=150,
-        nameplate=Nameplate.model_validate(plate or PLATE),
-        eds=None,
-        rehearsal=None,
-        **more.pop("requested", {}),
+    request = replace(
+        request_of(plate or PLATE), bus="hub:a", bitrate_bit_s=500_000, **more.pop("requested", {})
     )
     made = session_of(Shaft(shaft_of(1e-3)), request=request, mechanics=MECHANICS, dictionary=None, **more)
     cast(Any, made).configured = True
@@ -207,25 +212,39 @@ def test_a_stated_torque_constant_stands_in_for_a_measured_one() -> None:
 # ---- what is written -------------------------------------------------------------------------------------
 
 
-class Journal:
-    """Changes to objects, each with what it held."""
-
-    def __init__(self, *changes: tuple[int, int, bytes, bytes]) -> None:
-        self.changes = [
-            SimpleNamespace(object=ObjectKey(index, sub), old=old, new=new)
-            for index, sub, old, new in changes
-        ]
-        self.contents = self
-
-    def originals(self) -> dict[ObjectKey, bytes]:
-        first: dict[ObjectKey, bytes] = {}
-        for change in self.changes:
-            first.setdefault(change.object, change.old)
-        return first
+Change = tuple[int, int, bytes, bytes]
 
 
-def test_what_a_drive_was_set_to_is_without_what_served_a_step() -> None:
+@pytest.fixture
+def network() -> Iterator[JournaledNetwork]:
+    """A bus whose drive has not been written to."""
+    with open_world(WorldPlan(parse_bus_spec("simulated"), 500_000, False, None, 0), []) as world:
+        made = JournaledNetwork(world.link, world.clock, COMMISSION)
+        yield made
+        for journal in made.journals.values():
+            journal.close()
+
+
+def changed(network: JournaledNetwork, folder: Path, *changes: Change) -> JournaledNetwork:
+    """The bus with these changes of its drive in a journal: object, what it held, and what was written."""
     journal = Journal(
+        folder / "journal" / "journal.jsonl", JournalHead("hub:a", 5, DriveMark(7, 8, 9), 127, 0)
+    )
+    for index, sub, old, new in changes:
+        journal.note(ObjectWrite(ObjectKey(index, sub), old, new))
+        network.taken.setdefault(5, {})[ObjectKey(index, sub)] = new
+    network.journals[5] = journal
+    return network
+
+
+def test_what_a_drive_was_set_to_is_without_what_served_a_step(
+    network: JournaledNetwork, tmp_path: Path
+) -> None:
+    made = session(network=network)
+    assert set_objects(made) == {}, "there is no journal"
+    changed(
+        network,
+        tmp_path,
         (0x607E, 0, b"\0", b"\x80"),
         (0x1017, 0, b"\0\0", b"\x32\0"),
         (0x1017, 0, b"\x32\0", b"\x64\0"),
@@ -239,11 +258,8 @@ def test_what_a_drive_was_set_to_is_without_what_served_a_step() -> None:
         (0x1401, 1, b"\0", b"\x01"),
         (0x6072, 0, b"\x01", b"\x09"),
     )
-    taken = {change.object: change.new for change in journal.changes if change.object.index != 0x6072}
-    taken[ObjectKey(0x6072, 0)] = b"\x01"  # 9 was refused
-    made = session(network=SimpleNamespace(journal=journal, taken={5: taken}))
-    plan = [SimpleNamespace(communication_index=0x1400)]
-    made.found.plan = cast(Any, plan)
+    network.taken[5][ObjectKey(0x6072, 0)] = b"\x01"  # 9 was refused
+    made.found.plan = mode_plan(5, PlanWish(Mode.CYCLIC_SYNCHRONOUS_TORQUE))
     expected = {
         ObjectKey(0x607E, 0): b"\x80",
         ObjectKey(0x1017, 0): b"\x64\0",
@@ -255,24 +271,25 @@ def test_what_a_drive_was_set_to_is_without_what_served_a_step() -> None:
     assert set_objects(made) == {
         key: held for key, held in expected.items() if key.index not in (0x1400, 0x1600)
     }
-    assert set_objects(session(network=SimpleNamespace(journal=None))) == {}
 
 
 def written(made: Session, folder: Path) -> dict[str, str]:
     write_files(made)
-    return {path.name: path.read_text() for path in folder.iterdir()}
+    return {path.name: path.read_text() for path in folder.iterdir() if path.is_file()}
 
 
-def test_a_dry_run_leaves_nothing(tmp_path: Path) -> None:
-    made = session(requested={"out": tmp_path}, network=SimpleNamespace(journal=None))
+def test_a_dry_run_leaves_nothing(network: JournaledNetwork, tmp_path: Path) -> None:
+    made = session(requested={"out": tmp_path}, network=network)
     made.found.identity = made.found.mechanics = None
     made.found.controller = dict(CONTROLLER)
     assert written(made, tmp_path) == {}
 
 
-def test_all_files_are_written_and_read_again(tmp_path: Path) -> None:
-    journal = Journal((0x1017, 0, b"\0\0", b"\x32\0"))
-    made = session(requested={"out": tmp_path}, network=SimpleNamespace(journal=journal))
+HEARTBEAT: Change = (0x1017, 0, b"\0\0", b"\x32\0")
+
+
+def test_all_files_are_written_and_read_again(network: JournaledNetwork, tmp_path: Path) -> None:
+    made = session(requested={"out": tmp_path}, network=changed(network, tmp_path, HEARTBEAT))
     found = made.found
     found.controller, found.period = dict(CONTROLLER), Duration(2 * NS_PER_MS)
     found.network = Network(period_us=2000, losses_in_a_row_max=1, delay_max_us=1300)
@@ -330,14 +347,14 @@ def test_all_files_are_written_and_read_again(tmp_path: Path) -> None:
     ],
 )
 def test_the_bench_is_of_a_mode_that_the_drive_has(
-    tmp_path: Path, modes: tuple[Mode, ...], mode: str | None
+    network: JournaledNetwork, tmp_path: Path, modes: tuple[Mode, ...], mode: str | None
 ) -> None:
     """Set-points of speed or position where it has no torque mode of cycles."""
     said: list[str] = []
     made = session(
         requested={"out": tmp_path},
-        network=SimpleNamespace(journal=Journal((0x1017, 0, b"\0\0", b"\x32\0"))),
-        dialog=SimpleNamespace(tell=said.append),
+        network=changed(network, tmp_path, HEARTBEAT),
+        dialog=Dialog(said.append),
     )
     made.found.controller = dict(CONTROLLER)
     made.found.modes = modes
