@@ -50,6 +50,9 @@ def _parts(done: Campaign, figures: dict[str, Any]) -> Iterator[str]:
     named = {run for of_pair in maps for cells in of_pair for run in cells.runs.ravel().tolist()}
     worst = worst_runs(done, named)
     failed = [each for each in worst if each["outcome"] != VerdictKind.PASSED]
+    if worst:
+        again = f"hil campaign replay {escape(str(done.folder))} --run K --into runs/K"
+        yield f"<p>To look into run K: <code>{again}</code>, then <code>hil view runs/K</code></p>"
     if failed:
         yield f"<h2>Runs that did not pass</h2>{_runs(done, failed)}"
     for (rows, across), of_pair in zip(pairs, maps, strict=True):
@@ -125,10 +128,9 @@ def _sensitivity(figures: dict[str, Any]) -> str:
 def _runs(done: Campaign, runs: list[dict[str, Any]]) -> str:
     rows = []
     for each in runs:
-        command = f"hil campaign replay {done.folder} --run {each['run']}"
         keys = ", ".join(f"{key} = {_value(each[key])}" for key in done.plan.run(0).labels)
-        rows.append((each["run"], keys, each["seed"], each["outcome"], number(each[PEAK]), command))
-    titles = ("run", "keys", "seed", "outcome", "peak, %", "again")
+        rows.append((each["run"], keys, each["seed"], each["outcome"], number(each[PEAK])))
+    titles = ("run", "keys", "seed", "outcome", "peak, %")
     return html_table(titles, rows, [f"run{each['run']}" for each in runs])
 
 

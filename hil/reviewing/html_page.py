@@ -9,7 +9,7 @@ _STYLE: Final = """
 :root{color-scheme:light dark;--good:#1565c0;--bad:#b3202a}
 @media (prefers-color-scheme:dark){:root{--good:#7db4f5;--bad:#ff7864}}
 body{font:clamp(15px,.8vw,32px)/1.5 system-ui,sans-serif;max-width:72em;margin:2em auto;padding:0 1em}
-h2{margin-top:1.8em}code{font-size:90%;white-space:nowrap}.b{font-size:1.3em}
+h2{margin-top:1.8em}code{font-size:90%;overflow-wrap:anywhere}.b{font-size:1.3em}
 table{border-collapse:collapse;margin:.6em 0 1.2em}th,td{padding:.2em .8em;text-align:left;vertical-align:top}
 th,td{border-bottom:1px solid #8884}th{background:#8882}.n{text-align:right;font-variant-numeric:tabular-nums}
 figure{margin:1em 0;background:#fff;color:#000}

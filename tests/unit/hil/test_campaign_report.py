@@ -90,13 +90,15 @@ def table(text: str) -> list[list[str]]:
     return [[cell.replace("\N{NO-BREAK SPACE}", " ") for cell in row] for row in cells]
 
 
-def test_the_head_tells_what_the_campaign_came_to(reported: str) -> None:
+def test_the_head_tells_what_the_campaign_came_to(mapped: Campaign, reported: str) -> None:
     parts = sections(reported)
     assert parts[""] == (
         "<h1>Campaign made-up</h1><p class='b'>8 of 11 runs passed, 18 were planned.</p>"
         "<p>Intervals of 95 %; of pass rates: Clopper-Pearson; of quantiles and means: bootstrap. No "
         "interval spans several points of the grid, because they share their draws and seeds.</p>"
         "<p>3 not &lt;passed&gt;, 8 passed</p>"
+        f"<p>To look into run K: <code>hil campaign replay {mapped.folder} --run K --into runs/K</code>, then "
+        "<code>hil view runs/K</code></p>"
     )
     assert list(parts) == [
         "",
@@ -133,7 +135,7 @@ def test_the_tables_are_rows_of_figures(reported: str, mapped: Campaign) -> None
     assert points[6][1:3] == ["1", "0"]
     worst = table(parts["Runs that did not pass"])
     passed = table(parts["Worst runs that passed"])
-    assert worst[0] == passed[0] == ["run", "keys", "seed", "outcome", "peak, %", "again"]
+    assert worst[0] == passed[0] == ["run", "keys", "seed", "outcome", "peak, %"]
     assert [row[0] for row in worst[1:]] == ["9", "5", "1"]
     assert [row[0] for row in passed[1:]] == ["4", "10", "8", "7", "6", "3", "2"]
     assert worst[1][:5] == [
@@ -149,7 +151,6 @@ def test_the_tables_are_rows_of_figures(reported: str, mapped: Campaign) -> None
         "1",
         "passed",
         "-",
-        f"hil campaign replay {mapped.folder} --run 4",
     ]
     quantiles = table(parts["Figures of all runs"])
     assert quantiles[1] == ["speed_error_peak_percent", "%", "10", "7", "11.05", "11.5"]
