@@ -24,9 +24,17 @@ from servobench.drivers.rotation import RPM_PER_RAD_S
 from servobench.drivers.timebase import NS_PER_S
 from servobench.drivers.written_file import written
 from servobench.hil.configuration.drive_file import load_drive_file
-from servobench.hil.recording.lanes import STATES, lane, lane_colors, lane_column
+from servobench.hil.recording.lanes import AMBER, DIM, GOOD, RED, STATES, lane, lane_colors, lane_column
 from servobench.hil.recording.page_series import BLUE, GREEN, GREY, Color
-from servobench.hil.recording.plot_scale import COLUMN_PX, LANE_GUTTER, about, gutter, lanes_px, plot_heights
+from servobench.hil.recording.plot_scale import (
+    COLUMN_PX,
+    LANE_GUTTER,
+    about,
+    fitted,
+    gutter,
+    lanes_px,
+    plot_heights,
+)
 from servobench.hil.recording.rerun_page import (
     event_list,
     framed,
@@ -59,8 +67,7 @@ _ZERO: Final = re.compile(r"0 ns is \((\d+)\.(\d{6})\)")
 _STEP, _DRIVE = "step", "drive"
 """Lanes."""
 _EVENTS, _FIGURES = "/events", "/figures"
-_GOOD, _RED, _GREY, _BLUE = 0x1565C0FF, 0xB3202AFF, 0x50555CFF, 0x1F5FA8FF
-_STEP_COLORS: Final = {"done": _GOOD, "failed": _RED, "skipped": _GREY, "left out": _GREY, "not done": _GREY}
+_STEP_COLORS: Final = {"done": GOOD, "failed": RED, "skipped": DIM, "left out": DIM, "not done": DIM}
 """By verdict; a step whose verdict nobody has written down was under way."""
 
 
@@ -240,7 +247,7 @@ def _steps(events: list[dict[str, Any]], figures: _Figures) -> _Lane:
     titles = [named.get(str(event["state"]), str(event["state"])) for event in begun]
     verdicts = {step.title: step.verdict for step in figures.steps}
     labels = list(dict.fromkeys(titles))
-    colors = [_STEP_COLORS.get(verdicts.get(label, ""), _BLUE) for label in labels]
+    colors = [_STEP_COLORS.get(verdicts.get(label, ""), AMBER) for label in labels]
     times = [event["at_ns"] for event in begun]
     return _Lane(_STEP, times, titles, dict(zip(labels, colors, strict=True)))
 
@@ -314,7 +321,9 @@ def _cells(text: str) -> list[str]:
 
 def _layout(bus: _Bus, told: Sequence[_Lane], end_s: float) -> rrb.Blueprint:
     there = [name for name in _PLOTS if any(_SIGNALS[index].plot == name for index in bus.signals)]
-    ranges = {name: about(bus.ends(name)) for name in there}
+    states_px = lanes_px(2)
+    widest = [about(bus.ends(name)) for name in there]
+    ranges = dict(zip(there, fitted(widest, COLUMN_PX - states_px), strict=True))
     plots = [
         plot("/", [f"+ /{name}/**"], _PLOTS[name], from_zero(end_s, gutter(ranges[name])), ranges[name])
         for name in there
@@ -331,7 +340,6 @@ def _layout(bus: _Bus, told: Sequence[_Lane], end_s: float) -> rrb.Blueprint:
         event_list(_EVENTS),
         row_shares=[6.5, 3.5],
     )
-    states_px = lanes_px(2)
     spare = [1.0 / len(plots)] * len(plots) if plots else []
     heights = plot_heights([ranges[name] for name in there], COLUMN_PX - states_px, spare)
     content = rrb.Vertical(lanes, *plots, row_shares=[states_px, *heights])

@@ -11,7 +11,15 @@ import rerun.blueprint as rrb
 from servobench.drivers.timebase import NS_PER_S
 from servobench.hil.recorded.comparison import Against
 from servobench.hil.recording.page_series import AXIS_COLORS, GREY, torque_scale
-from servobench.hil.recording.plot_scale import COLUMN_PX, Range, about, around_zero, plot_heights
+from servobench.hil.recording.plot_scale import (
+    COLUMN_PX,
+    Range,
+    about,
+    around_zero,
+    fitted,
+    gutter,
+    plot_heights,
+)
 from servobench.hil.recording.rerun_page import framed, from_zero, plot, send_line, stream_into
 from servobench.hil.reviewing.envelope import Points
 
@@ -40,9 +48,9 @@ def write_comparison(compared: Sequence[Against], markdown: str, path: Path) -> 
 
 def _signals(compared: Sequence[Against], each: Against) -> Iterator[tuple[str, str, Points]]:
     """Axis, series and points of one of the runs, in the units of the plots."""
-    for path, envelope in each.signals.signals.items():
+    for path in each.signals.signals:
         axis, _, signal = path.partition("/")
-        times, values = envelope.points()
+        times, values = each.signals.line(axis, signal)
         if times.size:
             yield (
                 axis,
@@ -81,11 +89,12 @@ def _ranges(compared: Sequence[Against], axis: str) -> list[Range | None]:
     for each in compared:
         for name, signal, (_, drawn) in _signals(compared, each):
             if name == axis:
-                values.setdefault(signal, []).extend((float(drawn.min()), float(drawn.max())))
+                values.setdefault(signal, []).extend((float(np.nanmin(drawn)), float(np.nanmax(drawn))))
     reach = max((each.signals.counted_error().get(axis, 0.0) for each in compared), default=0.0)
     limits = [limit for each in compared if (limit := each.signals.error_limits_rpm.get(axis)) is not None]
     error = around_zero(max(reach, *limits, 1e-9))
-    return [error if path == "error/error" else about(values.get(path, ())) for path in _PLOTS]
+    ranges = [error if path == "error/error" else about(values.get(path, ())) for path in _PLOTS]
+    return fitted(ranges, COLUMN_PX)
 
 
 def _column(
@@ -105,7 +114,9 @@ def _column(
             paths.append(f"/{names[0]}/{axis}/speed/reference")
         several = len(names) > 1
         contents, of_view = [f"+ {each}" for each in paths], of_plot if several else f"{title} · {of_plot}"
-        views.append(plot("/", contents, of_view, from_zero(end_s), low_high, legend=several))
+        views.append(
+            plot("/", contents, of_view, from_zero(end_s, gutter(low_high)), low_high, legend=several)
+        )
     return rrb.Vertical(*views, row_shares=plot_heights(ranges, COLUMN_PX, (0.4, 0.2, 0.2, 0.2)), name=title)
 
 

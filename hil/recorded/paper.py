@@ -76,8 +76,7 @@ def _draw(ax: Any, run: RunSignals, name: str, path: str) -> None:
     if not _has_points(run, f"{name}/{path}"):
         return
     asked = path not in READ_SERIES
-    points = run.signals[f"{name}/{path}"].points()
-    times, values = points if asked else run.gaps[name].interrupt(points, run.last_cycle)
+    times, values = run.line(name, path)
     plot, _, word = path.partition("/")
     of = f"{name}: " if len(run.axes) > 1 else ""
     ax.plot(

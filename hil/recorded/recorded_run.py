@@ -13,7 +13,7 @@ from servobench.hil.execution.network_guard import Certificates
 from servobench.hil.execution.recorded_bench import review_plan
 from servobench.hil.loop.cycle_record import FATE_SAMPLE
 from servobench.hil.loop.loop import planned_cycles
-from servobench.hil.recording.row_series import main_lines_of, position_lines_of
+from servobench.hil.recording.row_series import READ_SERIES, main_lines_of, position_lines_of
 from servobench.hil.recording.run_folder import read_summary
 from servobench.hil.recording.whole_figures import COUNTED_SHARE
 from servobench.hil.reviewing.envelope import Envelope, Gaps, Points
@@ -156,6 +156,11 @@ class RunSignals:
             for path, values in (*main_lines_of(mine, 1.0), *positions):
                 signal = self.signals.setdefault(f"{name}/{path}", Envelope())
                 signal.add(mine["due_at"] - first_cycle, values)
+
+    def line(self, name: str, path: str) -> Points:
+        """Return a signal of an axis; of one that was read a gap where no reading came."""
+        points = self.signals[f"{name}/{path}"].points()
+        return self.gaps[name].interrupt(points, self.last_cycle) if path in READ_SERIES else points
 
     def axes_in(self, plot: str) -> list[str]:
         """Return the axes that a plot shows: positions and speed errors those that are given them, speeds

@@ -7,6 +7,7 @@ of them first, then one of each; the timing; what controllers tell; and the same
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, Final
 
 import rerun.blueprint as rrb
@@ -30,7 +31,15 @@ from servobench.hil.recording.page_series import (
     own_series,
     torque_scale,
 )
-from servobench.hil.recording.plot_scale import COLUMN_PX, LANE_GUTTER, Range, gutter, lanes_px, plot_heights
+from servobench.hil.recording.plot_scale import (
+    COLUMN_PX,
+    LANE_GUTTER,
+    Range,
+    fitted,
+    gutter,
+    lanes_px,
+    plot_heights,
+)
 from servobench.hil.recording.rerun_page import event_list, framed, plot
 from servobench.hil.recording.wide_rows import cycles_entity, drawn
 from servobench.hil.rows.recording_plan import RecordingPlan
@@ -51,6 +60,8 @@ MARKS_MAX: Final = 30
 
 Styled = tuple[Series, Color | None, str]
 """A line, and colour and name in place of its own."""
+Ranges = Mapping[str, Range | None]
+"""Of plots, by name, from above to below."""
 Overrides = dict[Any, Any]
 """How lines are drawn, by entity."""
 
@@ -101,7 +112,9 @@ class Pages:
             yield self._axis_page(self._axes[0], OVERVIEW_PAGE, linked=False)
         yield self._of_each(TIMING_PAGE, [self._timing(name) for name in self._axes])
         if self._positions:
-            speeds = [rrb.Vertical(*self._speed(name, False, False), name=name) for name in self._positions]
+            speeds = [
+                rrb.Vertical(*self._speed(name, False, False, {}), name=name) for name in self._positions
+            ]
             yield self._of_each(SPEED_PAGE, speeds)
         telling = [name for name in self._axes if name in self._plan.channels]
         if telling:
@@ -121,54 +134,63 @@ class Pages:
 
     def _axis_page(self, name: str, title: str, linked: bool) -> rrb.Vertical:
         marks = self._whole is None or linked or name in self._whole.few_marks
+        own = self._tracks("", name)
+        ranges = self._fitted([name], len(own))
+        first = (
+            self._position(name, linked, ranges)
+            if name in self._positions
+            else self._speed(name, linked, marks, ranges)
+        )
         plots = [
-            *(self._position(name, linked) if name in self._positions else self._speed(name, linked, marks)),
-            self._plot(name, "torque", f"Torque [{self._units[name]}]", linked),
+            *first,
+            self._plot(name, "torque", f"Torque [{self._units[name]}]", linked, ranges=ranges),
             self._plot(
                 name,
                 "delay",
                 "Delay of the readings [us]",
                 linked,
                 ["delay/uncertain", *(["delay/dropped"] if marks else [])],
+                ranges,
             ),
         ]
-        own = self._tracks("", name)
         if linked:
             by_cycle = {f"{name} {DROPOUTS}": f"{name} {BY_CYCLE}"}
             own = [by_cycle.get(track, track) for track in own]
-        return self._with_lanes(own, plots, [name], title, linked)
+        return self._with_lanes(own, plots, ranges, title, linked)
 
-    def _speed(self, name: str, linked: bool, marks: bool) -> tuple[rrb.View, rrb.View]:
+    def _speed(self, name: str, linked: bool, marks: bool, ranges: Ranges) -> tuple[rrb.View, rrb.View]:
         return (
-            self._plot(name, "speed", "Speed [r/min]", linked, ["speed/dropped"] if marks else []),
-            self._plot(name, "error", "Speed error [r/min]", linked),
+            self._plot(name, "speed", "Speed [r/min]", linked, ["speed/dropped"] if marks else [], ranges),
+            self._plot(name, "error", "Speed error [r/min]", linked, ranges=ranges),
         )
 
-    def _position(self, name: str, linked: bool) -> tuple[rrb.View, rrb.View]:
+    def _position(self, name: str, linked: bool, ranges: Ranges) -> tuple[rrb.View, rrb.View]:
         return (
-            self._plot(name, "position", "Position [rad]", linked),
-            self._plot(name, "position_error", "Position error [rad]", linked),
+            self._plot(name, "position", "Position [rad]", linked, ranges=ranges),
+            self._plot(name, "position_error", "Position error [rad]", linked, ranges=ranges),
         )
 
     def _all_axes(self) -> rrb.Vertical:
         """Lay out one view per plot, each with all axes."""
-        plots = [
-            self._together("speed/measured", "Speed of all axes [r/min]", "speed/reference"),
-            self._together("error/error", "Speed errors [r/min]"),
-            self._together("torque/measured", f"Torques [{', '.join(sorted(set(self._units.values())))}]"),
-            self._together("delay/delay", "Delays of the readings [us]"),
-        ]
         lanes = [
             track
             for track in self._tracks("", *self._axes)
             if self._whole is None or not track.endswith(" drive")
         ]
-        return self._with_lanes(lanes, plots, self._axes, OVERVIEW_PAGE, linked=False)
+        ranges = self._fitted(self._axes, len(lanes))
+        units = ", ".join(sorted(set(self._units.values())))
+        plots = [
+            self._together(ranges, "speed/measured", "Speed of all axes [r/min]", "speed/reference"),
+            self._together(ranges, "error/error", "Speed errors [r/min]"),
+            self._together(ranges, "torque/measured", f"Torques [{units}]"),
+            self._together(ranges, "delay/delay", "Delays of the readings [us]"),
+        ]
+        return self._with_lanes(lanes, plots, ranges, OVERVIEW_PAGE, linked=False)
 
     def _with_lanes(
-        self, lanes: list[str], plots: Sequence[rrb.View], axes: Sequence[str], title: str, linked: bool
+        self, lanes: list[str], plots: Sequence[rrb.View], ranges: Ranges, title: str, linked: bool
     ) -> rrb.Vertical:
-        """Speed, error, torque and delay of ``axes`` below their lanes."""
+        """Plots, of these ranges, below their lanes."""
         states = rrb.StateTimelineView(
             origin="/",
             contents=[f"+ {STATES}"],
@@ -176,13 +198,18 @@ class Pages:
             time_view=self._time_axis(linked, LANE_GUTTER),
             overrides={STATES: [lane(track, lane_colors(track, self._axes)) for track in lanes]},
         )
-        states_px = lanes_px(max(len(lanes), 3))
+        states_px = _states_px(len(lanes))
+        # the speed is what is looked at first
+        heights = plot_heights(list(ranges.values()), COLUMN_PX - states_px, (0.7, 0.1, 0.1, 0.1))
+        return rrb.Vertical(states, *plots, row_shares=[states_px, *heights], name=title)
+
+    def _fitted(self, axes: Sequence[str], lanes: int) -> Ranges:
+        """The ranges of the plots below so many lanes, so that all have room, from above to below."""
         position = len(axes) == 1 and axes[0] in self._positions
         first = ("position", "position_error") if position else ("speed", "error")
-        ranges = [self._widest(plot, axes) for plot in (*first, "torque", "delay")]
-        # the speed is what is looked at first
-        heights = plot_heights(ranges, COLUMN_PX - states_px, (0.7, 0.1, 0.1, 0.1))
-        return rrb.Vertical(states, *plots, row_shares=[states_px, *heights], name=title)
+        names = (*first, "torque", "delay")
+        widest = [self._widest(plot, axes) for plot in names]
+        return dict(zip(names, fitted(widest, COLUMN_PX - _states_px(lanes)), strict=True))
 
     def _widest(self, plot: str, axes: Sequence[str]) -> Range | None:
         """The range of a plot that several axes share."""
@@ -214,17 +241,24 @@ class Pages:
         return rrb.Vertical(*plots, name=name)
 
     def _plot(
-        self, name: str, plot: str, title: str, linked: bool, marks: Sequence[str] = ()
+        self,
+        name: str,
+        plot: str,
+        title: str,
+        linked: bool,
+        marks: Sequence[str] = (),
+        ranges: Ranges = MappingProxyType({}),
     ) -> rrb.TimeSeriesView:
         """``marks``: which points are shown beside the lines. ``linked``: as high as what is seen of them,
-        with the limits of errors alone, as those of the drive are far away."""
+        with the limits of errors alone, as those of the drive are far away. ``ranges``: in place of that of
+        the values."""
         series = [(each, None, "") for each in SERIES if each.path.startswith(f"{plot}/")]
         lines, overrides = self._lines(name, series, linked)
         if not linked or "error" in plot:
             lines.append(f"{LIMITS}/{name}/{plot}/**")
         contents = [*lines, *(f"/{name}/{mark}" for mark in marks)]
         remark = "" if self._whole is None else self._whole.remarks.get(f"{name}/{plot}", "")
-        low_high = None if linked else self._range(f"{name}/{plot}")
+        low_high = None if linked else ranges.get(plot) or self._range(f"{name}/{plot}")
         return self._view(f"/{name}", contents, title + remark, linked, low_high, overrides)
 
     def _lines(self, name: str, styled: Sequence[Styled], linked: bool) -> tuple[list[str], Overrides]:
@@ -242,7 +276,7 @@ class Pages:
             return beside, {}
         return [cycles_entity(name), *beside], {cycles_entity(name): cycles}
 
-    def _together(self, path: str, title: str, *beside: str) -> rrb.TimeSeriesView:
+    def _together(self, ranges: Ranges, path: str, title: str, *beside: str) -> rrb.TimeSeriesView:
         """``path`` of all axes in the colours of the axes; ``beside``: other series, in their own."""
         by_path = {each.path: each for each in SERIES}
         contents: list[str] = []
@@ -252,8 +286,7 @@ class Pages:
             lines, styles = self._lines(name, [*((by_path[each], None, "") for each in beside), own], False)
             contents += lines
             overrides |= styles
-        low_high = self._widest(path.partition("/")[0], self._axes)
-        return self._view("/", contents, title, False, low_high, overrides)
+        return self._view("/", contents, title, False, ranges[path.partition("/")[0]], overrides)
 
     def _view(
         self,
@@ -316,6 +349,10 @@ class Pages:
 
     def _deadline_remark(self, name: str) -> str:
         return "" if self._whole is None else self._whole.remarks.get(f"{name}/histogram", "")
+
+
+def _states_px(lanes: int) -> float:
+    return lanes_px(max(lanes, 3))
 
 
 def layout(plan: RecordingPlan, whole: Whole | None = None) -> rrb.Blueprint:

@@ -49,11 +49,14 @@ hour has 8 s, in which one cycle of a hundred would paint the lane from end to e
 _WIDTH_LEAST: Final = 400
 """A fault is drawn at least such a part of the run wide, to be seen."""
 
-_DARK, _DIM, _GOOD, _RED, _AMBER = 0x1B1E23FF, 0x3F4650FF, 0x1565C0FF, 0xB3202AFF, 0xD9A520FF
-"""Good, bad and doubtful differ by 40 and more (CIELAB) under deuteranopia and protanopia too; green and red
-would differ by 14. So do the causes of dropouts among each other; few of a cause are its colour darkened."""
+_NOTHING: Final = 0x00000000
+"""Of a state that is not drawn: the viewer's ground is seen, dark or light."""
+DIM, GOOD, RED, AMBER = 0x9C9FA4FF, 0x1565C0FF, 0xD7230AFF, 0xFFFA46FF
+"""As the viewer draws them, a fifth of each its ground's, dark or light, they are 40 and more (CIELAB) apart
+under deuteranopia and protanopia too, and all but grey from the ground. So are the causes of dropouts; few
+of a cause are its colour darkened."""
 _VERDICT_COLORS: Final = {
-    kind.value.capitalize(): _RED if kind.exit_status else _GOOD if kind is VerdictKind.PASSED else _DIM
+    kind.value.capitalize(): RED if kind.exit_status else GOOD if kind is VerdictKind.PASSED else DIM
     for kind in VerdictKind
 }
 _DRIVE_COLORS: Final = {
@@ -61,39 +64,39 @@ _DRIVE_COLORS: Final = {
     State.SWITCH_ON_DISABLED: 0x50555CFF,
     State.READY: 0x8A6D1FFF,
     State.SWITCHED_ON: 0xB8860BFF,
-    State.OPERATION_ENABLED: _GOOD,
+    State.OPERATION_ENABLED: GOOD,
     State.QUICK_STOP: 0xC2571AFF,
-    State.FAULT_REACTION: _RED,
-    State.FAULT: 0x8B1520FF,
+    State.FAULT_REACTION: RED,
+    State.FAULT: RED,
 }
 _PART_COLORS: Final = {
-    "Limited": _RED,
-    "Warned": _AMBER,
-    "Low": _RED,
-    "Charged": _DIM,
-    "Braking resistor": _AMBER,
-    "Holds": _GOOD,
-    "Opening": _DIM,
-    "Closing": _AMBER,
+    "Limited": RED,
+    "Warned": AMBER,
+    "Low": RED,
+    "Charged": DIM,
+    "Braking resistor": AMBER,
+    "Holds": GOOD,
+    "Opening": DIM,
+    "Closing": AMBER,
 }
 """States of a simulated drive's parts that are not as usual; others get a colour of the viewer's choice."""
 _PHASE_COLORS: Final = {
-    "Connecting": _DIM,
+    "Connecting": DIM,
     "Configuring": 0x4A4F7AFF,
     "Enabling": 0x6A4FA0FF,
     "Calibrating": 0x1C6F7AFF,
     "Running": 0x2E7D6BFF,
     "Stopping": 0x5A5F66FF,
-    "Stopped": _DIM,
+    "Stopped": DIM,
 }
 """Phases that a run goes through; any other gets a colour of the viewer's choice."""
 _CAUSES: Final = [cause.value.capitalize() for cause in CAUSES]
 _CAUSE_COLORS: Final = {
-    **dict(zip(_CAUSES, (_RED, 0xFFC030FF, 0xB8E8FFFF, 0x4A3FE0FF), strict=True)),
+    **dict(zip(_CAUSES, (RED, AMBER, 0x8778D2FF, 0x1E00FFFF), strict=True)),
     **dict(
         zip(
             (f"{cause}, few" for cause in _CAUSES),
-            (0x551C22FF, 0x665020FF, 0x4A5D66FF, 0x241F66FF),
+            (0x6B1105FF, 0x807D23FF, 0x443C69FF, 0x0F0080FF),
             strict=True,
         )
     ),
@@ -134,6 +137,7 @@ def lane(track: str, colors: Mapping[str, int]) -> "Visualizer":
         values=list(colors),
         labels=[" " if label == QUIET else label for label in colors],
         colors=np.array(list(colors.values()), np.uint32),
+        visible=[color != _NOTHING for color in colors.values()],
     )
     return styled.visualizer(mappings=[source])
 
@@ -154,20 +158,20 @@ def lane_colors(track: str, axes: Sequence[str]) -> Mapping[str, int]:
     """By label; empty: the viewer chooses."""
     place = _place(track, axes)
     if place == _INJECTED:
-        return {QUIET: _DARK, "Injected": _AMBER}
+        return {QUIET: _NOTHING, "Injected": AMBER}
     return {
-        _VERDICT: {QUIET: _DARK, **_VERDICT_COLORS},
-        _LIMITS: {KEPT: _GOOD, BROKEN: _RED},
-        _ERROR: {QUIET: _DARK, SETTLING: _DIM, NOT_JUDGED: _DIM, KEPT: _GOOD, BEYOND: _RED},
+        _VERDICT: {QUIET: _NOTHING, **_VERDICT_COLORS},
+        _LIMITS: {KEPT: GOOD, BROKEN: RED},
+        _ERROR: {QUIET: _NOTHING, SETTLING: DIM, NOT_JUDGED: DIM, KEPT: GOOD, BEYOND: RED},
         _DRIVE: {
             **{state.value.capitalize(): color for state, color in _DRIVE_COLORS.items()},
-            "Unknown": _DARK,
+            "Unknown": DIM,
         },
         _PHASE: _PHASE_COLORS,
-        _LINK: {LINK_OK: _GOOD, LINK_DEGRADED: _AMBER, LINK_DOWN: _RED},
-        _DROPOUTS: {QUIET: _DARK, **_CAUSE_COLORS},
-        _HOST: {HOST_IN_TIME: _GOOD, HOST_MISSED: _RED},
-        _PART: {QUIET: _DARK, **_PART_COLORS},
+        _LINK: {LINK_OK: GOOD, LINK_DEGRADED: AMBER, LINK_DOWN: RED},
+        _DROPOUTS: {QUIET: _NOTHING, **_CAUSE_COLORS},
+        _HOST: {HOST_IN_TIME: GOOD, HOST_MISSED: RED},
+        _PART: {QUIET: _NOTHING, **_PART_COLORS},
     }.get(place, {})
 
 

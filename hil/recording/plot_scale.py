@@ -18,10 +18,11 @@ _PLOT_PX: Final = 58
 """Title and time axis of a plot."""
 _TICK_PX: Final = 26
 """The viewer writes no labels closer than this."""
-_TICKS_MAX: Final = 8.0
-"""More would take the room of the other plots, where all do not find theirs."""
+_BEYOND_LABEL: Final = 1.2
+"""So far reaches a plot without room for its own labels beyond that of the next power of ten, which is then
+whole."""
 _MANTISSA_MAX: Final = 3.0
-"""More ticks of the smaller power of ten would take the room of the other plots."""
+"""More ticks of the smaller power of ten would take the room of the other plots, where it is short."""
 _MARGIN: Final = 0.15
 """Margin on each side, as a share of the range: a curve does not lie upon the frame."""
 
@@ -68,16 +69,36 @@ def around_zero(reach: float) -> Range:
     return -most, most
 
 
+def fitted(ranges: Sequence[Range | None], room_px: float) -> list[Range | None]:
+    """Return the ranges of plots one below the other so that all have room for labels: those of most ticks
+    reach to the next power of ten where it is not there for them."""
+    chosen = list(ranges)
+    for place in sorted(range(len(chosen)), key=lambda each: -_ticks(chosen[each])):
+        low_high = chosen[place]
+        if low_high is None or _ticks(low_high) <= _MANTISSA_MAX:
+            break
+        if sum(map(_needed_px, chosen)) > room_px:
+            chosen[place] = _coarser(low_high)
+    return chosen
+
+
 def plot_heights(ranges: Sequence[Range | None], room_px: float, spare: Sequence[float]) -> list[float]:
     """Return the heights of plots one below the other, px; ``spare``: the shares in which they divide the
     room that none of them needs."""
-    needed: list[float] = []
-    for most in (math.inf, _TICKS_MAX):
-        needed = [_PLOT_PX + _TICK_PX * min(_ticks(each), most) for each in ranges]
-        if sum(needed) <= room_px:
-            break
+    needed = [_needed_px(each) for each in ranges]
     left = max(0.0, room_px - sum(needed))
     return [each + left * part for each, part in zip(needed, spare, strict=True)]
+
+
+def _needed_px(low_high: Range | None) -> float:
+    return _PLOT_PX + _TICK_PX * _ticks(low_high)
+
+
+def _coarser(low_high: Range) -> Range:
+    """To a label of the next power of ten at the larger end."""
+    low, high = low_high
+    most = _BEYOND_LABEL * 10.0 * _decade(low_high)
+    return (low, most) if high >= -low else (-most, high)
 
 
 def _ticks(low_high: Range | None) -> float:

@@ -18,7 +18,7 @@ from servobench.hil.reviewing.trace.node_objects import KnownNodes
 from servobench.hil.reviewing.trace.trace_entry import TraceEntry
 from tests.unit.hil.test_blueprint_pages import names, parts, paths, value_range, window_s
 
-GOOD, RED, GREY, BLUE = 0x1565C0FF, 0xB3202AFF, 0x50555CFF, 0x1F5FA8FF
+GOOD, RED, DIM, AMBER = 0x1565C0FF, 0xD7230AFF, 0x9C9FA4FF, 0xFFFA46FF
 
 
 class Stream:
@@ -58,11 +58,11 @@ def test_steps_have_the_colour_of_their_verdict_and_one_without_was_under_way() 
     assert lane.colors == {
         "The s0": GOOD,
         "The s1": RED,
-        "The s2": GREY,
-        "The s3": GREY,
-        "The s4": GREY,
-        "The s5": BLUE,
-        "s6": BLUE,
+        "The s2": DIM,
+        "The s3": DIM,
+        "The s4": DIM,
+        "The s5": AMBER,
+        "s6": AMBER,
     }
     assert (lane.track, lane.times) == ("step", [0, 1, 2, 3, 4, 5, 6])
     assert lane.labels == [*(f"The s{place}" for place in range(6)), "s6"]
@@ -143,7 +143,7 @@ def test_what_the_bus_told_is_drawn_in_its_lanes_lines_and_events() -> None:
     assert list(stream.rows) == ["/events", "/torque/6077h"]
     lane = commissioned._drive(found)
     assert (lane.track, lane.times, lane.labels) == ("drive", [0], ["Fault"])
-    assert lane.colors["Fault"] == 0x8B1520FF
+    assert lane.colors["Fault"] == RED
     assert "2.000 s  4310h" in str(stream.rows["/events"])
     assert stream.rows["/torque/6077h"][0][:2] == (0, [0.5])
 

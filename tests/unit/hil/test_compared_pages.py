@@ -12,6 +12,7 @@ from rerun.chunk import RrdReader
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.errors import BadInput
 from servobench.drivers.rotation import RPM_PER_RAD_S
+from servobench.hil.loop.cycle_record import FATE_MISSED
 from servobench.hil.recorded import commissioning_page as commissioned
 from servobench.hil.recorded import comparison_page
 from servobench.hil.recorded.commissioning_page import commissioning_page, is_commissioning
@@ -23,6 +24,7 @@ from servobench.hil.verdict.metrics import VerdictLimits
 from servobench.hil.verdict.plain_values import from_plain
 from tests.page_text import page_text
 from tests.recorded_frames import write_frames
+from tests.rrd_columns import view_ranges
 from tests.unit.hil.made_runs import MadeRun, made_run
 from tests.unit.hil.row_tools import plain_rows
 
@@ -72,6 +74,21 @@ def test_each_run_has_its_series_in_the_units_of_the_plots(tmp_path: Path) -> No
     packed = {str((red << 24) + (green << 16) + (blue << 8) + 255) for red, green, blue in colors}
     told = {line.split(": ")[1] for line in text.splitlines() if "SeriesLines:colors" in line}
     assert told == packed
+
+
+def test_no_line_crosses_a_gap_and_time_zero_stands_in_one_place(tmp_path: Path) -> None:
+    lossy = rows(98.0)
+    lossy["fate"][200:230] = FATE_MISSED
+    compared = compare_runs([run("one", 98.0), made_run(lossy, folder="runs/two")])
+    write_comparison(compared, "", tmp_path / "both.rrd")
+    found = series(tmp_path / "both.rrd")
+    for line in ("speed/measured", "error/error", "torque/measured", "delay/delay"):
+        whole, broken = (found[f"/{name}/axis1/{line}"] for name in ("0_one", "1_two"))
+        assert not np.isnan(whole).any()
+        assert np.isnan(broken).any()
+    assert not np.isnan(found["/1_two/axis1/speed/reference"]).any()
+    begins = {low for low, _ in view_ranges(tmp_path / "both.rrd")}
+    assert len(begins) > 1, "a plot with wide labels begins earlier"
 
 
 def test_the_ranges_are_those_of_all_runs() -> None:

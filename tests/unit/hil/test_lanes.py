@@ -25,7 +25,7 @@ from servobench.hil.verdict.metrics import VerdictLimits
 from tests.colour_sight import apart, contrast
 
 AXES: Final = ("axis1", "left arm")
-RED, GOOD, AMBER, DIM, DARK = 0xB3202AFF, 0x1565C0FF, 0xD9A520FF, 0x3F4650FF, 0x1B1E23FF
+RED, GOOD, AMBER, DIM, NOTHING = 0xD7230AFF, 0x1565C0FF, 0xFFFA46FF, 0x9C9FA4FF, 0x00000000
 
 
 def test_lanes_are_ordered_by_what_they_tell() -> None:
@@ -49,14 +49,14 @@ def test_lanes_are_ordered_by_what_they_tell() -> None:
 @pytest.mark.parametrize(
     ("track", "some"),
     [
-        ("verdict", {"-": DARK, "Passed": GOOD, "Not passed": RED, "Completed, nothing was asked": DIM}),
-        ("axis1 error", {"-": DARK, "Settling": DIM, "Not judged": DIM, "Kept": GOOD, "BEYOND": RED}),
-        ("axis1 drive", {"Unknown": DARK, "Fault reaction active": RED, "Operation enabled": GOOD}),
+        ("verdict", {"-": NOTHING, "Passed": GOOD, "Not passed": RED, "Completed, nothing was asked": DIM}),
+        ("axis1 error", {"-": NOTHING, "Settling": DIM, "Not judged": DIM, "Kept": GOOD, "BEYOND": RED}),
+        ("axis1 drive", {"Unknown": DIM, "Fault reaction active": RED, "Operation enabled": GOOD}),
         ("phase", {"Running": 0x2E7D6BFF, "Stopped": DIM}),
         ("axis1 link", {"OK": GOOD, "DEGRADED": AMBER, "DOWN": RED}),
-        ("axis1 dropouts", {"-": DARK, "Lost": RED, "Lost, few": 0x551C22FF, "Missed": 0x4A3FE0FF}),
+        ("axis1 dropouts", {"-": NOTHING, "Lost": RED, "Lost, few": 0x6B1105FF, "Missed": 0x1E00FFFF}),
         ("host", {"In time": GOOD, "MISSED": RED}),
-        ("injected loss", {"-": DARK, "Injected": AMBER}),
+        ("injected loss", {"-": NOTHING, "Injected": AMBER}),
     ],
 )
 def test_what_is_wrong_is_red_and_what_is_well_is_blue(track: str, some: dict[str, int]) -> None:
@@ -140,6 +140,11 @@ def test_a_fault_that_is_told_again_began_the_first_time_and_one_that_never_bega
     assert faults.lanes(0, 400) == {"injected loss": changes((0, "-"), (10, "Injected"), (20, "-"))}
 
 
+BLACK, WHITE = 0, 255
+VIEWERS = 0.78
+"""Share of a bar's colour in what the viewer draws; the rest is its ground's."""
+
+
 def rgb(rgba: int) -> tuple[int, int, int]:
     return rgba >> 24 & 255, rgba >> 16 & 255, rgba >> 8 & 255
 
@@ -148,19 +153,25 @@ def rgb(rgba: int) -> tuple[int, int, int]:
     ("track", "labels"),
     [
         ("verdict", ("Passed", "Not passed")),
-        ("axis1 error", ("Kept", "BEYOND")),
         ("axis1 drive", ("Operation enabled", "Fault reaction active")),
         ("axis1 drive", ("Operation enabled", "Fault")),
         ("axis1 link", ("OK", "DEGRADED", "DOWN")),
         ("host", ("In time", "MISSED")),
         ("limits", ("Kept", "BROKEN")),
+        ("axis1 error", ("Kept", "BEYOND", "Settling")),
         ("axis1 dropouts", ("Lost", "Late", "Stale", "Missed")),
     ],
 )
-def test_good_and_bad_differ_for_the_colour_blind_too(track: str, labels: Sequence[str]) -> None:
-    colors = lane_colors(track, AXES)
-    for one, other in combinations(labels, 2):
-        assert apart(rgb(colors[one]), rgb(colors[other])) >= 40.0
+@pytest.mark.parametrize("ground", [BLACK, WHITE])
+def test_good_and_bad_differ_for_the_colour_blind_too_as_the_viewer_draws_them(
+    track: str, labels: Sequence[str], ground: int
+) -> None:
+    colors = [VIEWERS * np.array(rgb(lane_colors(track, AXES)[each])) for each in labels]
+    drawn = [each + (1.0 - VIEWERS) * ground for each in colors]
+    for one, other in combinations(drawn, 2):
+        assert apart(one, other) >= 40.0
+    for each, label in zip(drawn, labels, strict=True):
+        assert apart(each, (ground,) * 3) >= (25.0 if label == "Settling" else 40.0)
 
 
 DARK_GROUND, LIGHT_GROUND = (13, 16, 17), (255, 255, 255)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from servobench.hil.recording.plot_scale import about, around_zero, plot_heights
+from servobench.hil.recording.plot_scale import about, around_zero, fitted, plot_heights
 
 LABEL_PX, TITLE_PX = 26, 58
 
@@ -26,6 +26,11 @@ def test_each_plot_has_room_for_its_labels_and_the_first_gets_the_rest() -> None
     assert heights[1:] == pytest.approx([TITLE_PX + 2.1 * LABEL_PX, TITLE_PX + 2 * LABEL_PX])
 
 
-def test_where_not_all_find_room_nobody_takes_that_of_the_others() -> None:
-    heights = plot_heights([(-9.9, 9.9), (-900.0, 900.0)], 700.0, (0.5, 0.5))
-    assert heights == pytest.approx([350.0, 350.0])
+def test_where_not_all_find_room_that_of_most_ticks_reaches_to_the_next_power_of_ten() -> None:
+    torque, speed, delay = (-6500.0, 6500.0), (-100.0, 2600.0), (-10.0, 575.0)
+    room_px = 3 * TITLE_PX + 14 * LABEL_PX
+    shown = fitted([speed, torque, delay], room_px)
+    assert shown == [speed, pytest.approx((-6500.0, 12000.0)), delay]
+    assert sum(plot_heights(shown, room_px, (0.0, 0.0, 0.0))) <= room_px
+    assert fitted([speed, torque, delay], room_px + 10 * LABEL_PX) == [speed, torque, delay]
+    assert fitted([(-8700.0, 6500.0), None], 10.0) == [pytest.approx((-12000.0, 6500.0)), None]
