@@ -16,7 +16,8 @@ from servobench.hil.recorded.viewer import headless_viewer, page_file
 from tests.pictures.browser import PROGRAM
 from tests.pictures.cases import Case, cases
 from tests.pictures.html_pages import look_at, made_pages
-from tests.pictures.pixels import Picture, complaints
+from tests.pictures.light import SIZES, light_pages
+from tests.pictures.pixels import DARK, LIGHT, Color, Picture, complaints
 from tests.pictures.window import bursts_of, look_into
 
 _VIEWERS: Final = 3
@@ -30,12 +31,9 @@ Drawn = tuple[str, list[str]]
 """Name of a picture, and what is wrong with it."""
 
 
-_OTHER_SIZES: Final = ((1366, 768), (3840, 2160))
-
-
 def draw(case: Case, recording: Path, out: Path) -> list[Drawn]:
     """What a user sees on opening it, and the other pages, as ``out``/NAME.png, ``out``/NAME-PAGE.png,
-    ``out``/NAME-window.png and ``out``/NAME-WIDTH.png."""
+    ``out``/NAME-window.png, ``out``/NAME-WIDTH.png and ``out``/NAME-WIDTH-light.png."""
     with headless_viewer() as viewer:
         viewer.show(page_file(recording))
         viewer.put_cursor(None)
@@ -47,17 +45,21 @@ def draw(case: Case, recording: Path, out: Path) -> list[Drawn]:
             png, wrong = look_into(viewer, bursts_of(recording))
             (out / f"{case.name}-window.png").write_bytes(png)
             drawn.append((f"{case.name}-window", wrong))
-    for size in _OTHER_SIZES if case.sizes else ():
+    for size in SIZES[1:] if case.sizes else ():
         with headless_viewer(size) as viewer:
             viewer.show(page_file(recording))
             viewer.put_cursor(None)
             drawn.append(_judged(f"{case.name}-{size[0]}", viewer.picture(), out, case))
+    if case.light and PROGRAM is not None:
+        sizes = SIZES if case.sizes else SIZES[:1]
+        for size, png in zip(sizes, light_pages(recording, sizes), strict=True):
+            drawn.append(_judged(f"{case.name}-{size[0]}-light", png, out, case, LIGHT))
     return drawn
 
 
-def _judged(name: str, png: bytes, out: Path, case: Case | None) -> Drawn:
+def _judged(name: str, png: bytes, out: Path, case: Case | None, ground: Color = DARK) -> Drawn:
     (out / f"{name}.png").write_bytes(png)
-    picture = Picture.of_png(png)
+    picture = Picture.of_png(png, ground)
     return name, complaints(picture, case.lines, case.seen) if case else complaints(picture, (), {})
 
 
@@ -92,7 +94,7 @@ def main() -> None:
             pending.append(viewers.submit(draw, case, recording, options.out))
         drawn = [each for future in pending for each in future.result()]
         if PROGRAM is None:
-            print("pages of HTML are not looked at: no chromium; apt-get install chromium")
+            print("pages of HTML and light pages are not looked at: no chromium; apt-get install chromium")
         elif options.only in "page":
             drawn += look_at(made_pages(Path(folder) / "pages"), options.out)
     write_index(drawn, options.out)

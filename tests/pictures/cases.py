@@ -37,6 +37,8 @@ class Case:
     """A window of it is looked into: see :mod:`tests.pictures.window`."""
     sizes: bool = False
     """The page that it opens with is drawn for a small screen and a large one, too."""
+    light: bool = False
+    """The page that it opens with is drawn on light ground, too, if there is a browser."""
 
 
 def faults_of(kind: str) -> Mapping[str, Any]:
@@ -122,14 +124,19 @@ _STOPPED: Final[Mapping[str, Mapping[str, Any]]] = {
 
 def cases() -> Iterator[Case]:
     """All, those of most use first."""
-    yield Case("no-fault", made.run("ling2012.toml", _QUIET), seen=_PASSED, sizes=True)
+    yield Case("no-fault", made.run("ling2012.toml", _QUIET), seen=_PASSED, sizes=True, light=True)
     yield Case("no-limit", made.run("ling2012.toml", _NO_LIMIT, VerdictKind.NOTHING_ASKED), seen=_UNASKED)
     for seconds in (2, 59, 61):
         lasts = {"bench.duration_s": float(seconds)}
         opened = made.run("ling2012.toml", lasts)
         yield Case(f"passed-{seconds}s", opened, seen={"fault": True}, pages=True, sizes=seconds == 2)
     yield Case(
-        "three-axes", made.run("three_axes.toml", {}), ("speed", "torque", "error"), pages=True, sizes=True
+        "three-axes",
+        made.run("three_axes.toml", {}),
+        ("speed", "torque", "error"),
+        pages=True,
+        sizes=True,
+        light=True,
     )
     yield Case("position", made.run("position_csp.toml", {}), _HIDDEN, pages=True)
     yield Case("own-controller", made.run("own_controller/mpc.toml", {}), pages=True)
@@ -139,6 +146,8 @@ def cases() -> Iterator[Case]:
     yield Case("commissioning", made.commissioning, ())
     yield Case("comparison", made.comparison, ("speed", "torque"), pages=True)
     yield Case("campaign", made.campaign, (), pages=True)
+    blackout = made.run("blackout.toml", {}, VerdictKind.NOT_PASSED)
+    yield Case("blackout", blackout, (), {"red": True, "fault": True, "gap": True}, light=True)
     for kind in TABLES:
         ends = _ENDED_BY.get(kind, VerdictKind.PASSED)
         seen = {"fault": True, **({"gap": True} if kind in _GAPS else {})}

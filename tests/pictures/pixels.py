@@ -1,12 +1,15 @@
 """What is in a picture of a page, by its pixels alone."""
 
 import io
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from itertools import combinations
 from typing import Final, NamedTuple
 
 import matplotlib.image
 import numpy as np
 from numpy.typing import NDArray
+
+from tests.colour_sight import apart
 
 Color = tuple[int, int, int]
 CURVES: Final[Mapping[str, Color]] = {
@@ -18,21 +21,25 @@ CURVES: Final[Mapping[str, Color]] = {
 }
 """What a line of a plot is drawn in, and below limits and bars: as a person sees them on the pages."""
 LIMIT: Final[Color] = (185, 35, 8)
-BARS: Final[Mapping[str, Color]] = {"fault": (217, 165, 32), "red": (179, 32, 42), "good": (21, 101, 192)}
+REFERENCE: Final[Color] = (176, 197, 227)
+BARS: Final[Mapping[str, Color]] = {"fault": (255, 250, 70), "red": (215, 35, 10), "good": (21, 101, 192)}
 """Of lanes."""
-_BACKGROUND: Final = np.array((13.0, 16.0, 17.0))
+DARK, LIGHT = (13, 16, 17), (255, 255, 255)
+"""Grounds."""
 _COLUMN: Final = 1344 / 1920
 """So much of the width have lanes and plots; the rest is text."""
 _TOP: Final = 60
 """Above are the viewer's own menus, px."""
 _ALIKE: Final = 0.995
 """Cosine of two colours seen from the background: an edge is a mixture of both, and is alike."""
+_SAME: Final = 0.9995
+"""That of a colour that is not mixed with another line's."""
 _COVERED: Final = 0.96
 """Of a line that others lie on: reference and estimate nearly hide a measured speed that is the same."""
 _FAINT, _BRIGHT = 0.35, 0.6
 """What is mixed thinner with the background is not looked at; lines are brighter than the bars of lanes."""
-_BAR_PX: Final = 12
-"""A bar of a lane is 28 px high, text and lines less than this."""
+_BAR_PX, _BAND_PX = 12, 40
+"""A bar of a lane is 28 px high, text and lines less than 12, a curve of many cycles more than 40."""
 _EDGE_PX: Final = 4
 """So much of a bar lies above its words."""
 _CURSOR: Final = 60.0
@@ -46,6 +53,10 @@ _EDGE: Final = 0.15
 _GAP: Final = 0.13
 """And so much be missing: from the last cycle to the dot in the legend, or where another line covers it."""
 _INK: Final = 0.02
+_APART: Final = 40.0
+"""CIELAB, to the eye that tells them apart worst."""
+_NEVER_TOGETHER: Final = {"the error", "the delay"}
+"""Curves that are in no plot together; colours of others may be, in one plot of some axes."""
 
 
 class Reach(NamedTuple):
@@ -60,15 +71,17 @@ class Reach(NamedTuple):
 class Picture:
     """Of a page; lengths in px are those of one of 1920 x 1080."""
 
-    def __init__(self, pixels: NDArray[np.float64]) -> None:
+    def __init__(self, pixels: NDArray[np.float64], ground: Color = DARK) -> None:
         """``pixels``: (height, width, 3), 0 to 255."""
+        self.ground = ground
+        self._ground = np.array(ground, np.float64)
         self._scale: float = pixels.shape[0] / 1080
-        self._column = pixels[self._px(_TOP) :, : round(pixels.shape[1] * _COLUMN)] - _BACKGROUND
+        self._column = pixels[self._px(_TOP) :, : round(pixels.shape[1] * _COLUMN)] - self._ground
 
     @classmethod
-    def of_png(cls, png: bytes) -> "Picture":
-        """As ``hil picture`` writes it."""
-        return cls(matplotlib.image.imread(io.BytesIO(png), format="png")[..., :3] * 255.0)
+    def of_png(cls, png: bytes, ground: Color = DARK) -> "Picture":
+        """As ``hil picture`` writes it, or a browser."""
+        return cls(matplotlib.image.imread(io.BytesIO(png), format="png")[..., :3] * 255.0, ground)
 
     def ink(self) -> float:
         """How much of the column of plots is not background, 0 to 1."""
@@ -92,15 +105,21 @@ class Picture:
 
     def bar_px(self, color: Color) -> int:
         """How wide the bars of lanes in a colour are, all together."""
-        alike, high = self._alike(color), self._px(_BAR_PX)
-        whole = np.ones_like(alike[high:])
-        for row in range(high):
-            whole &= alike[row : row - high]
-        return int(whole.any(axis=0).sum())
+        return int(self._bars(self._alike(color)).any(axis=0).sum())
+
+    def drawn_bar(self, color: Color) -> NDArray[np.float64] | None:
+        """The colour that bars are drawn in which are asked for in this one; None: there are none."""
+        return self._drawn(self._bars(self._alike(color)))
+
+    def drawn_line(self, color: Color) -> NDArray[np.float64] | None:
+        """The colour that lines are drawn in, where they cover a pixel; None: there are none."""
+        alike = self._alike(color, _SAME, _BRIGHT)
+        return self._drawn(alike & ~self._bars(alike))
 
     def line_px(self, color: Color) -> int:
         """How long the longest level line in a colour is."""
-        return round(int(self._alike(color).sum(axis=1).max()) / self._scale)
+        alike = self._alike(color)
+        return round(int((alike & ~self._bars(alike)).sum(axis=1).max()) / self._scale)
 
     def bar_rows(self, color: Color) -> slice | None:
         """Rows of the upper edge of the last lane with bars in a colour, above their words; None: no lane."""
@@ -134,11 +153,30 @@ class Picture:
         here, there = (np.flatnonzero(each > 0.5 * each.max()) for each in brighter)
         return float(here.mean()), float(there.mean())
 
+    def _bars(self, alike: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Those pixels that are of a bar, above its words."""
+        bars = np.zeros_like(alike)
+        edges = np.diff(alike.astype(np.int8), axis=0, prepend=0, append=0)
+        columns, begins = np.nonzero(edges.T == 1)
+        _, ends = np.nonzero(edges.T == -1)
+        tall = ends - begins
+        for place in np.flatnonzero((tall >= self._px(_BAR_PX)) & (tall <= self._px(_BAND_PX))):
+            bars[begins[place] : ends[place], columns[place]] = True
+        return bars
+
+    def _drawn(self, among: NDArray[np.bool_]) -> NDArray[np.float64] | None:
+        colors = self._column[among]
+        if len(colors) < self._px(_LINE_PX):
+            return None
+        kinds, counts = np.unique(colors, axis=0, return_counts=True)
+        drawn: NDArray[np.float64] = kinds[counts.argmax()] + self._ground
+        return drawn
+
     def _px(self, length: float) -> int:
         return round(length * self._scale)
 
     def _alike(self, color: Color, least: float = _ALIKE, faint: float = _FAINT) -> NDArray[np.bool_]:
-        sought = np.array(color) - _BACKGROUND
+        sought = np.array(color) - self._ground
         length = np.linalg.norm(self._column, axis=2)
         alike = self._column @ sought >= least * length * np.linalg.norm(sought)
         found: NDArray[np.bool_] = alike & (length >= faint * np.linalg.norm(sought))
@@ -167,4 +205,26 @@ def complaints(picture: Picture, lines: tuple[str, ...], seen: Mapping[str, bool
             there, what = picture.bar_px(BARS[name]) > 0, f"{name} bar"
         if there != wanted:
             found.append(f"{'no' if wanted else 'a'} {what}")
-    return found
+    return found + list(confused(picture))
+
+
+def confused(picture: Picture) -> Iterator[str]:
+    """Which colours of a picture, as it has them, are near to each other for the colour-blind."""
+    bars = {
+        f"{name} bars": drawn
+        for name, color in BARS.items()
+        if (drawn := picture.drawn_bar(color)) is not None
+    }
+    lines = {**CURVES, "limit": LIMIT, "reference": REFERENCE}
+    curves = {
+        f"the {name}": drawn
+        for name, color in lines.items()
+        if (drawn := picture.drawn_line(color)) is not None
+    }
+    for each in (bars, curves):
+        for (one, its), (other, others) in combinations(each.items(), 2):
+            if {one, other} != _NEVER_TOGETHER and apart(its, others) < _APART:
+                yield f"{one} and {other} {apart(its, others):.0f} apart to the colour-blind"
+    for name, drawn in bars.items():
+        if apart(drawn, picture.ground) < _APART:
+            yield f"{name} {apart(drawn, picture.ground):.0f} from the ground to the colour-blind"

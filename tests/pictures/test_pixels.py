@@ -90,9 +90,20 @@ def without_a_limit(pixels: Pixels) -> None:
     pixels[450:452] = (13.0, 16.0, 17.0)
 
 
+def with_bars_that_are_hardly_there(pixels: Pixels) -> None:
+    pixels[120:148, 100:1300] = np.array(BARS["good"]) * 0.55
+
+
+def with_doubt_as_dark_as_what_is_bad(pixels: Pixels) -> None:
+    pixels[160:188, 500:712] = np.array(BARS["fault"]) * 0.4
+    bar(pixels, "red", 200, 400, 800)
+
+
 @pytest.mark.parametrize(
     ("spoil", "found"),
     [
+        (with_bars_that_are_hardly_there, "from the ground to the colour-blind"),
+        (with_doubt_as_dark_as_what_is_bad, "fault bars and red bars 10 apart to the colour-blind"),
         (blank, "blank but for"),
         (half_empty, "error from 52%"),
         (half_empty_at_the_end, "a gap of 48%"),
