@@ -32,8 +32,10 @@ _TOP: Final = 60
 """Above are the viewer's own menus, px."""
 _ALIKE: Final = 0.995
 """Cosine of two colours seen from the background: an edge is a mixture of both, and is alike."""
-_SAME: Final = 0.9995
+_SAME: Final = 0.9999
 """That of a colour that is not mixed with another line's."""
+_WHOLE: Final = 0.95
+"""Of the brightest pixels: those that are not mixed with the ground; of a thin line the dot in its legend."""
 _COVERED: Final = 0.96
 """Of a line that others lie on: reference and estimate nearly hide a measured speed that is the same."""
 _FAINT, _BRIGHT = 0.35, 0.6
@@ -99,7 +101,7 @@ class Picture:
 
     def gap_px(self, color: Color) -> int:
         """How wide the widest gap in a curve is, left of its legend."""
-        columns = np.flatnonzero(self._alike(color, _ALIKE, _BRIGHT).any(axis=0))
+        columns = np.flatnonzero(self._alike(color, _ALIKE).any(axis=0))
         shown = columns[columns < (1.0 - _EDGE) * self._column.shape[1]]
         return round((int(np.diff(shown).max(initial=1)) - 1) / self._scale)
 
@@ -168,7 +170,8 @@ class Picture:
         colors = self._column[among]
         if len(colors) < self._px(_LINE_PX):
             return None
-        kinds, counts = np.unique(colors, axis=0, return_counts=True)
+        length = np.linalg.norm(colors, axis=1)
+        kinds, counts = np.unique(colors[length >= _WHOLE * length.max()], axis=0, return_counts=True)
         drawn: NDArray[np.float64] = kinds[counts.argmax()] + self._ground
         return drawn
 
