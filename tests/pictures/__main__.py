@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from servobench.drivers.timebase import NS_PER_S, MonotonicClock
-from servobench.hil.recorded.viewer import headless_viewer, page_file
+from servobench.hil.recorded.viewer import LAID_OUT_FOR, headless_viewer, page_file
 from tests.pictures.browser import PROGRAM
 from tests.pictures.cases import Case, cases
 from tests.pictures.html_pages import look_at, made_pages
@@ -53,7 +53,8 @@ def draw(case: Case, recording: Path, out: Path) -> list[Drawn]:
     if case.light and PROGRAM is not None:
         sizes = SIZES if case.sizes else SIZES[:1]
         for size, png in zip(sizes, light_pages(recording, sizes), strict=True):
-            drawn.append(_judged(f"{case.name}-{size[0]}-light", png, out, case, LIGHT))
+            fits = case if size == LAID_OUT_FOR else None
+            drawn.append(_judged(f"{case.name}-{size[0]}-light", png, out, fits, LIGHT))
     return drawn
 
 

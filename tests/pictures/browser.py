@@ -40,15 +40,14 @@ class Browser:
         self._session = self._ask("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         self._ask("Page.enable")
 
-    def show(self, url: str, size: tuple[int, int], theme: str, zoom: float = 1.0) -> None:
-        """Open a page; ``size``: of the window, px; ``theme``: light or dark, what the reader's system asks
-        for; ``zoom``: the browser's own."""
+    def show(self, url: str, size: tuple[int, int], theme: str) -> None:
+        """Open a page; ``theme``: light or dark, what the reader's system asks for."""
         width, height = size
         self._ask(
             "Emulation.setDeviceMetricsOverride",
-            width=round(width / zoom),
-            height=round(height / zoom),
-            deviceScaleFactor=zoom,
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
             mobile=False,
         )
         scheme = {"name": "prefers-color-scheme", "value": theme}

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from servobench.drivers.timebase import NS_PER_S, MonotonicClock
-from servobench.hil.recorded.viewer import LAID_OUT_FOR, page_file, zoom_of
+from servobench.hil.recorded.viewer import LAID_OUT_FOR, page_file
 from servobench.hil.recording.serving import choose_ports, comes_to_listen, serve_file
 from tests.pictures.browser import Browser, browser
 from tests.pictures.pixels import BARS, LIGHT, Picture
@@ -20,10 +20,10 @@ _LANES_PX: Final = 300
 
 
 def light_pages(recording: Path, sizes: tuple[tuple[int, int], ...]) -> Iterator[bytes]:
-    """The page that a recording opens with, light, in windows of these sizes."""
+    """The page that a recording opens with, light, in windows of these sizes; none is zoomed."""
     with _served(page_file(recording)) as url, browser(gl=True) as shown:
         for size in sizes:
-            shown.show(f"{url}&theme=light", size, "light", zoom_of(size))
+            shown.show(f"{url}&theme=light", size, "light")
             yield _settled(shown)
 
 

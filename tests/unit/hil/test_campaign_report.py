@@ -97,8 +97,8 @@ def test_the_head_tells_what_the_campaign_came_to(mapped: Campaign, reported: st
         "<p>Intervals of 95 %; of pass rates: Clopper-Pearson; of quantiles and means: bootstrap. No "
         "interval spans several points of the grid, because they share their draws and seeds.</p>"
         "<p>3 not &lt;passed&gt;, 8 passed</p>"
-        f"<p>To look into run K: <code>hil campaign replay {mapped.folder} --run K --into runs/K</code>, then "
-        "<code>hil view runs/K</code></p>"
+        f"<p>To look into run K: <code>hil campaign replay {mapped.folder} --run K --into runs/K</code>, "
+        "then <code>hil view runs/K</code></p>"
     )
     assert list(parts) == [
         "",
@@ -114,7 +114,7 @@ def test_the_head_tells_what_the_campaign_came_to(mapped: Campaign, reported: st
     assert "dc:date" not in reported
 
 
-def test_the_tables_are_rows_of_figures(reported: str, mapped: Campaign) -> None:
+def test_the_tables_are_rows_of_figures(reported: str) -> None:
     parts = sections(reported)
     points = table(parts["Points"])
     assert points[0] == [
