@@ -29,6 +29,7 @@ from servobench.design.delay.delay_loop import Array, DelayLoop
 from servobench.design.delay.delay_norm import hinf_norm, is_stable, largest_stable_delay_s, rough_norm
 from servobench.design.delay.lmi import (
     LmiProblem,
+    LmiSolution,
     MatrixInequality,
     Unknowns,
     rounding_of,
@@ -155,6 +156,16 @@ def gain_problem(loop: ScaledLoop, order: int) -> LmiProblem:
     _count_gain(decrease, signals.now @ loop.C)
     what = f"certificate of the gain at order {order}"
     return LmiProblem(what, unknowns, [*_positivity(unknowns, n, order), decrease], unknowns.last, STRICT)
+
+
+def gain_slope(loop: ScaledLoop, problem: LmiProblem, answer: LmiSolution) -> Array:
+    """Return the slope of the least squared gain of order 0 by [A, D, E], (n, 2 n + 1).
+
+    By the multiplier of the last inequality, in which they stand as the rows of x'.
+    """
+    signals = _signals(loop, 0, with_disturbance=True)
+    P, Z = (problem.unknowns.value(name, answer.y) for name in ("P", "Z"))
+    return np.asarray(2.0 * (answer.duals[-1] @ (signals.now @ P + signals.rate @ Z)).T)
 
 
 def _count_gain(decrease: MatrixInequality, output: Array) -> None:

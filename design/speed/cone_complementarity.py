@@ -33,8 +33,9 @@ ITERATIONS_MAX = 30
 """k_max of Step 4."""
 _FIRST_STEP = 0.05
 """Relative increase of the delay after a success; a failure divides it by 4."""
-_LAST_STEP = 5e-4
-"""Four failures: the last increase that is tried is 8e-4."""
+_LAST_STEP = 2e-3
+"""Three failures: the last increase that is tried is 3e-3. One of 8e-4 reaches up to 1.3 % more in twice the
+time."""
 _STARTS = 8
 """First delays tried, each half of the last."""
 _SETTLED = 10
@@ -62,7 +63,7 @@ def largest_ccl_delay(model: SpeedModel, gamma: float) -> SpeedDesign:
     Raises NoSolution if even the first feasible set, S = X, is not found.
     """
     delay_s, K, point = _first_gain(model, gamma)
-    delay_s = max(delay_s, _certified_delay_s(model, K, gamma))
+    delay_s = max(delay_s, _certified_delay_s(model, K, gamma, delay_s))
     step = _FIRST_STEP
     while step > _LAST_STEP:
         tried_s = delay_s * (1.0 + step)
@@ -71,16 +72,16 @@ def largest_ccl_delay(model: SpeedModel, gamma: float) -> SpeedDesign:
             step /= 4.0
             continue
         K = gain
-        delay_s = max(tried_s, _certified_delay_s(model, K, gamma))
+        delay_s = max(tried_s, _certified_delay_s(model, K, gamma, tried_s))
     # a hair below it, so that rounding cannot spoil the certificate
     delay_s *= 1.0 - 1e-7
     return SpeedDesign(K, delay_s, certified_gain(model, model.loop(K, delay_s), 0).gain)
 
 
-def _certified_delay_s(model: SpeedModel, K: Array, gamma: float) -> float:
+def _certified_delay_s(model: SpeedModel, K: Array, gamma: float, near_s: float) -> float:
     """Return the certified delay, s, rounded down: the iterations that start from it end up to 1e-3 apart
     where it differs by 1e-10."""
-    delay_s = certified_delay_within(model, K, gamma)
+    delay_s = certified_delay_within(model, K, gamma, near_s)
     unit_s = 10.0 ** (math.floor(math.log10(delay_s)) - _DIGITS) if delay_s > 0.0 else 1.0
     return math.floor(delay_s / unit_s) * unit_s
 

@@ -47,6 +47,8 @@ _ROUNDING = 1e-9
 """Relative excess of a norm over the bound that counts as rounding."""
 _ROUNDED = (0.0, 1e-9, 1e-8, 1e-7)
 """Reductions of a delay until its norm is proved to be within the bound."""
+_NEAR = 1e-6
+"""Relative excess of a peak over the bound above which a point on the way is no candidate."""
 _EXCESS = 1e-8
 """Relative excess of a peak over the bound that is tolerated."""
 _K1_STARTS = (-2.0, -1.4, -1.0, -0.8, -0.6, -0.45, -0.3, -0.15, 0.2)
@@ -229,7 +231,7 @@ def _refine_once(
     x = centre
     frequencies = np.array([peak.frequency_rad_s for peak in peaks(programme.loop(x), share=0.3)])
     best: SpeedDesign | None = None
-    for _ in range(_EXCHANGES):
+    for left in range(_EXCHANGES, 0, -1):
         x = programme.solve(x, frequencies, centre, radius)
         loop = programme.loop(x)
         if not is_stable(loop):
@@ -238,7 +240,8 @@ def _refine_once(
             continue
         tops = peaks(loop, share=0.5)
         worst = max(peak.gain for peak in tops)
-        design = _measured(model, programme, x, gamma, worst)
+        counts = gamma is None or worst <= programme.allowed(x) * (1.0 + _NEAR) or left == 1
+        design = _measured(model, programme, x, gamma, worst) if counts else None
         if design is not None and (best is None or _better(design, best, gamma)):
             best = design
         if worst <= programme.allowed(x) * (1.0 + _EXCESS):
