@@ -1,12 +1,13 @@
 """Maps of a campaign, a panel for each controller: ``python docs/make_campaign_map.py CAMPAIGN PICTURE``.
 
-Largest peak error of the speed after the settling of the step, over delay and loss; framed: cells in which
-every run kept what its controller is certified for, all premises held. The sweep has a controller axis with
-labels, then a delay and a loss: examples/campaigns/ling2012_controllers.toml.
+Largest peak error of the speed after the settling of the step, over two keys; framed: cells in which every
+run kept what its controller is certified for, all premises held. The sweep has a controller axis with labels,
+then the two: examples/campaigns/ling2012_controllers.toml, couplings.toml.
 """
 
 import sys
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,15 +18,23 @@ from matplotlib.patches import Rectangle
 from servobench import Campaign
 from servobench.hil.campaign.figures import PEAK
 
+_WORDS: Final = {
+    "delay_us": "delay of the readings, us",
+    "periodic_loss": "readings lost in a row",
+    "inertia_ratio": "load's inertia over the rotor's",
+    "antiresonance_hz": "antiresonance, Hz",
+}
+"""By the last part of a key."""
+
 
 def main() -> None:
     """Command line."""
     done = Campaign.load(sys.argv[1])
-    controllers, delays, losses = done.plan.axes
+    controllers, upwards, across = done.plan.axes
     peak = done.column(PEAK).astype(float)
     peak = np.where(done.column("completed").astype(bool), peak, np.inf)
     replicates = done.table.num_rows // done.plan.points
-    shape = (replicates, len(controllers.labels), len(delays.labels), len(losses.labels))
+    shape = (replicates, len(controllers.labels), len(upwards.labels), len(across.labels))
     largest = peak.reshape(shape).max(axis=0)
     kept = (done.column("certificate") == "kept").reshape(shape).all(axis=0)
     finite = largest[np.isfinite(largest)]
@@ -34,10 +43,10 @@ def main() -> None:
     panels = picture.subplots(1, shape[1], sharey=True)
     for place, axes in enumerate(np.atleast_1d(panels)):
         _panel(axes, controllers.labels[place], largest[place], kept[place], norm)
-        axes.set_xticks(range(shape[3]), losses.labels)
-        axes.set_yticks(range(shape[2]), delays.labels)
-        axes.set_xlabel("readings lost in a row")
-    np.atleast_1d(panels)[0].set_ylabel("delay of the readings, us")
+        axes.set_xticks(range(shape[3]), across.labels)
+        axes.set_yticks(range(shape[2]), upwards.labels)
+        axes.set_xlabel(_WORDS[across.title.rpartition(".")[2]])
+    np.atleast_1d(panels)[0].set_ylabel(_WORDS[upwards.title.rpartition(".")[2]])
     image = np.atleast_1d(panels)[-1].images[0]
     picture.colorbar(image, ax=list(np.atleast_1d(panels)), label="largest speed error, % of the reference")
     picture.savefig(Path(sys.argv[2]), dpi=100, metadata={"Software": None})

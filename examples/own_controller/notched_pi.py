@@ -15,12 +15,18 @@ class NotchedPi(Controller):
         self,
         setup: Setup,
         bandwidth_rad_s: float = 60.0,
-        notch_hz: float = 134.0,
+        notch_hz: float | None = None,
         depth: float = 0.2,
         width: float = 0.8,
         friction_nm_s: float = 0.0,
     ) -> None:
-        """``width`` is z1, ``depth`` is z0/z1; ``friction_nm_s``: what a speed takes to hold, N m s/rad."""
+        """``notch_hz``: by default the resonance of the coupling in the motor's file. ``width`` is z1,
+        ``depth`` is z0/z1; ``friction_nm_s``: what a speed takes to hold, N m s/rad."""
+        if notch_hz is None:
+            mechanism = setup.motor.mechanism
+            if mechanism is None or mechanism.coupling is None:
+                raise ValueError("notch_hz: expected, as the motor's file has no [coupling]")
+            notch_hz = mechanism.coupling.resonance_hz
         self.period_s = setup.period_s
         self.friction_nm_s = friction_nm_s
         self.proportional = setup.motor.inertia_kg_m2 * bandwidth_rad_s  # N m s/rad
