@@ -140,21 +140,21 @@ def falling_norms(
 
     ``growth``: by how much every step is to make them fall. None if the solver has none that can be proved.
     """
-    coordinates = _coordinates(edges, nodes)
-    if coordinates is None:
+    L = coordinates(edges, nodes)
+    if L is None:
         return None
-    inverses = np.linalg.inv(coordinates)
+    inverses = np.linalg.inv(L)
     turned = [
         NormedEdge(
             edge.source,
             edge.target,
-            growth * (1.0 + edge.room) * coordinates[edge.target] @ edge.M @ inverses[edge.source],
+            growth * (1.0 + edge.room) * L[edge.target] @ edge.M @ inverses[edge.source],
             edge.rows @ inverses[edge.source],
             *edge[4:],
         )
         for edge in edges
     ]
-    problem = _problem(turned, nodes, at, np.einsum("nij,nj->ni", coordinates[at], starts))
+    problem = _problem(turned, nodes, at, np.einsum("nij,nj->ni", L[at], starts))
     y = last_answer(problem, _TOLERANCE)
     if y is None:
         return None
@@ -163,7 +163,7 @@ def falling_norms(
         T = np.array([cholesky(each) for each in P])
     except np.linalg.LinAlgError:
         return None
-    own = T @ coordinates
+    own = T @ L
     left = max(left_by(edge, own) for edge in edges)
     if left > 1.0:
         return None
@@ -244,7 +244,7 @@ def _problem(edges: Sequence[NormedEdge], nodes: int, at: NDArray[np.intp], star
     return LmiProblem("norms of a load step", unknowns, inequalities, unknowns.last, _MARGIN)
 
 
-def _coordinates(edges: Sequence[NormedEdge], nodes: int) -> Array | None:
+def coordinates(edges: Sequence[NormedEdge], nodes: int) -> Array | None:
     """Return (nodes, k, k) in which the squares of all later errors, on average over walks, are of size 1."""
     k = edges[0].M.shape[1]
     leaving = np.bincount([edge.source for edge in edges], minlength=nodes)

@@ -67,6 +67,7 @@ class LoadedPeriod(NamedTuple):
     """(W, k): errors within it."""
     inputs: Array
     """(2, k): what acts on the plant at its begin and at its end."""
+    chain: Sequence[Operation]
     elsewhere: Elsewhere | None = None
     """None: its command acts at no other instants."""
 
@@ -183,7 +184,7 @@ class SteppedLoad:
         )
         whole = TaylorMap(total.coefficients, self._weighed(total.rest))
         held = np.array([np.eye(self._loop.size)[q - 1], self._loop.transition(later)[q - 1]])
-        return LoadedPeriod(jump.J, whole, every, held, self._elsewhere(later, begin))
+        return LoadedPeriod(jump.J, whole, every, held, chain, self._elsewhere(later, begin))
 
     def _elsewhere(self, later: Sequence[Operation], begin: Begin | None) -> Elsewhere | None:
         if begin is None or not begin.error:

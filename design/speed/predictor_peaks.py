@@ -33,10 +33,10 @@ _HISTORIES_MAX = 400
 """Histories behind which the load may come."""
 _SAMPLES_BEHIND = 2
 """Samples before the load, of every kind, in the search for the largest error."""
-_SIGNS = np.array([[1.0, one, other] for one in (-1.0, 1.0) for other in (-1.0, 1.0)])
+SIGNS = np.array([[1.0, one, other] for one in (-1.0, 1.0) for other in (-1.0, 1.0)])
 
 
-class _Move(NamedTuple):
+class SampleMove(NamedTuple):
     """A period: from so many (readings, commands) lost in a row, and its own losses."""
 
     source: int
@@ -45,7 +45,7 @@ class _Move(NamedTuple):
     outcome: Outcome
 
 
-class _Period(NamedTuple):
+class SamplePeriod(NamedTuple):
     """Its maps, those of a lost sample."""
 
     maps: LoadedPeriod
@@ -53,14 +53,22 @@ class _Period(NamedTuple):
     """(k, 3): what the gains times an innovation add to the first jump."""
 
 
-def _periods(
+def periods_of(
     loop: PredictorLoop, step: SteppedLoad, outcome: Outcome, delays: DelayRange | None
-) -> list[_Period]:
+) -> list[SamplePeriod]:
+    """Return the maps of a period of ``outcome``, one for each begin of its command."""
     lost = step.periods(sent(loop.chain(None), outcome), loop.first_command, delays)
     read = loop.read / (loop.read @ loop.read)
     each = [step.maps(sent(loop.chain(of_state(L)), outcome)).first for L in np.eye(3)]
     entering = np.array([(first - lost[0].first) @ read for first in each]).T
-    return [_Period(maps, entering) for maps in lost]
+    return [SamplePeriod(maps, entering) for maps in lost]
+
+
+def first_maps(loop: PredictorLoop, period: SamplePeriod, move: SampleMove, boxes: GainBoxes) -> Array:
+    """Return the first jumps (N, k, k) of a period, one for each corner of its gains."""
+    maps, entering = period
+    corners = [np.zeros(3)] if move.outcome.reading else [L[1:] for L in boxes.corners(move.readings)]
+    return np.array([maps.first + np.outer(entering @ L, loop.read) for L in corners])
 
 
 def predictor_peak(
@@ -78,7 +86,7 @@ def predictor_peak(
     ``inertias``: smallest and largest, as multiples of the model's; ``delays``: None: that of the loop.
     Raises NoSolution.
     """
-    moves = list(_moves(readings_max, commands_max))
+    moves = list(moves_of(readings_max, commands_max))
     nodes = (readings_max + 1) * (commands_max + 1)
     boxes = GainBoxes(kalman, walks, readings_max)
     begins = (
@@ -89,12 +97,10 @@ def predictor_peak(
     def peak(shafts: Shafts, known: tuple[float, float], close: float) -> PeakBound:
         step = SteppedLoad(loop, loop.period_s, loop.chain(kalman.observer(walks.quiet)), shafts, close)
         outcomes = {move.outcome for move in moves}
-        periods = {outcome: _periods(loop, step, outcome, delays) for outcome in outcomes}
+        periods = {outcome: periods_of(loop, step, outcome, delays) for outcome in outcomes}
         edges = []
         for move in moves:
-            maps, entering = periods[move.outcome][0]
-            corners = [np.zeros(3)] if move.outcome.reading else [L[1:] for L in boxes.corners(move.readings)]
-            firsts = np.array([maps.first + np.outer(entering @ L, loop.read) for L in corners])
+            firsts = first_maps(loop, periods[move.outcome][0], move, boxes)
             for period in periods[move.outcome]:
                 edges.append(step.edge(move.source, move.target, period.maps, firsts))
         norms = Norms(edges, nodes, step.starts[:, 0], falling=False)
@@ -104,7 +110,7 @@ def predictor_peak(
             first = []
             for node in range(nodes):
                 memory = boxes.predicted(begun, node // (commands_max + 1))
-                first.append(step.begun(node, norms.first, _flat(memory)))
+                first.append(step.begun(node, norms.first, flat(memory)))
             bound = bounded_peak(walk, joined(first), known, _CLOSENESS, _LEAVES_MAX)
             known = bound.reached, known[1]
         return bound
@@ -117,13 +123,14 @@ def _histories(readings_max: int) -> NDArray[np.int_]:
     return np.array(list(itertools.product(letters, repeat=_SAMPLES_BEHIND)))
 
 
-def _moves(readings_max: int, commands_max: int) -> Iterator[_Move]:
+def moves_of(readings_max: int, commands_max: int) -> Iterator[SampleMove]:
+    """Yield the periods between (readings, commands) lost in a row."""
     width = commands_max + 1
     for readings, commands in itertools.product(range(readings_max + 1), range(width)):
         for outcome in itertools.starmap(Outcome, itertools.product((False, True), repeat=2)):
             runs = (readings + 1 if outcome.reading else 0), (commands + 1 if outcome.command else 0)
             if runs[0] <= readings_max and runs[1] <= commands_max:
-                yield _Move(readings * width + commands, runs[0] * width + runs[1], readings, outcome)
+                yield SampleMove(readings * width + commands, runs[0] * width + runs[1], readings, outcome)
 
 
 class _Walks(NormedWalks):
@@ -132,8 +139,8 @@ class _Walks(NormedWalks):
     def __init__(
         self,
         read: Array,
-        moves: list[_Move],
-        periods: dict[Outcome, list[_Period]],
+        moves: list[SampleMove],
+        periods: dict[Outcome, list[SamplePeriod]],
         boxes: GainBoxes,
         norms: Norms,
         step: SteppedLoad,
@@ -163,12 +170,12 @@ class _Walks(NormedWalks):
                 ]
             for (gains, later), period in itertools.product(ways, self._periods[move.outcome]):
                 child, error, most = self._stepped(move, period, own, gains)
-                came.append(child._replace(memory=_flat(later)))
+                came.append(child._replace(memory=flat(later)))
                 reached, bound = max(reached, error), max(bound, most)
         return joined(came), reached, bound
 
     def _stepped(
-        self, move: _Move, period: _Period, own: Leaves, gains: tuple[Array, Array]
+        self, move: SampleMove, period: SamplePeriod, own: Leaves, gains: tuple[Array, Array]
     ) -> tuple[Leaves, float, float]:
         middle, half = 0.5 * (gains[0] + gains[1]), 0.5 * (gains[1] - gains[0])
         d, maps, step = self._step.apart(own.d), period.maps, self._step
@@ -181,7 +188,7 @@ class _Walks(NormedWalks):
         T = self._norms.first.T[move.target]
         for M in maps.M.coefficients:
             turned = T @ M @ period.entering
-            wider += np.max([np.linalg.norm((open_ * signs) @ turned.T, axis=1) for signs in _SIGNS], axis=0)
+            wider += np.max([np.linalg.norm((open_ * signs) @ turned.T, axis=1) for signs in SIGNS], axis=0)
         left = np.abs(T) @ maps.M.rest @ np.abs(period.entering)
         wider += np.linalg.norm(open_ @ left.T, axis=1)
         targets = np.full(len(own.d), move.target)
@@ -191,5 +198,6 @@ class _Walks(NormedWalks):
         return child, float(reached.max()), float(passed.max())
 
 
-def _flat(memory: CovarianceRange) -> Array:
+def flat(memory: CovarianceRange) -> Array:
+    """Return the covariances of each row side by side."""
     return np.stack(memory, axis=1).reshape(len(memory.low), -1)

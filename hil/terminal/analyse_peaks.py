@@ -33,6 +33,9 @@ class PeaksOptions:
         str | None,
         valued("--delay-ms", "LEAST,MOST", "Sample to action, dead time of the drive included."),
     ] = None
+    decay: Annotated[
+        bool, typer.Option("--decay", help="The slowest decay over the same sequences as well.")
+    ] = False
     load_nm: LoadOption = None
     as_json: JsonOption = False
 
@@ -45,6 +48,8 @@ def peaks(asked: PeaksOptions) -> None:
     delay of a range as --delay-ms 1,1.3, another one in each period. Found: some sequence reaches it. The
     rest of motor and drive is what the controller was made for. A static gain that applies samples as they
     arrive has any delay up to the largest of its network.
+
+    --decay bounds how slowly the loop comes to rest, over the same sequences, inertias and delays.
 
     Examples:
       hil analyse peaks examples/controllers/ling2012-fused.toml --losses-max 1
@@ -66,6 +71,7 @@ def peaks(asked: PeaksOptions) -> None:
         asked.load_nm,
         _inertias(asked.inertia_percent),
         None if asked.delay_ms is None else DelayRange(*_delays_s(asked.delay_ms)),
+        decay=asked.decay,
     )
     put(figures, asked.as_json, print_figures)
 

@@ -8,9 +8,11 @@ from servobench.design.errors import NoSolution
 from servobench.design.sampled.analysis import analyse_loop, with_peak
 from servobench.design.sampled.held_loop import HeldLoop, Strategy
 from servobench.design.sampled.jump_loop import Remembering
+from servobench.design.sampled.loss_decay import DecayPerSecond, losses_decay
 from servobench.design.sampled.loss_peak import losses_peak
 from servobench.design.sampled.peak_steps import PeakBound
 from servobench.design.sampled.varying_delay import DelayRange
+from servobench.design.speed.predictor_decay import predictor_decay
 from servobench.design.speed.predictor_peaks import predictor_peak
 from servobench.design.speed.random_loops import RandomHeld, RandomPredictor
 from servobench.hil.configuration.controller_kinds import StateFeedbackController
@@ -25,8 +27,11 @@ def peaks_figures(
     load_nm: float | None,
     inertias: tuple[float, float] = (1.0, 1.0),
     delays: DelayRange | None = None,
+    *,
+    decay: bool = False,
 ) -> dict[str, Any]:
-    """Return the largest error after a load step, certified and found, for each number of losses in a row.
+    """Return the largest error after a load step, certified and found, for each number of losses in a row;
+    with ``decay`` the slowest decay too.
 
     ``load_nm``: None: that of the file's design, or 1 N m; ``inertias``: smallest and largest, as multiples
     of the one that the controller was made for; ``delays``: None: those that it was made for. Raises BadInput
@@ -43,6 +48,7 @@ def peaks_figures(
         "delay_ms": None if delays is None else [1e3 * each for each in delays],
         "peaks": [
             _bounded(remembering, readings, commands, load_nm, inertias, delays)
+            | (_decaying(remembering, readings, commands, inertias, delays) if decay else {})
             for readings in range(readings_max + 1)
             for commands in range(commands_max + 1)
         ],
@@ -75,6 +81,34 @@ def peak_of(
             made.loop, made.kalman, made.walks, readings_max, commands_max, inertias, delays
         )
     return losses_peak(remembering, readings_max, commands_max, inertias, delays)
+
+
+def decay_of(
+    remembering: Remembering,
+    readings_max: int,
+    commands_max: int,
+    inertias: tuple[float, float] = (1.0, 1.0),
+    delays: DelayRange | None = None,
+) -> DecayPerSecond:
+    """Return the slowest decay of the same set as :func:`peak_of`, 1/s. Raises NoSolution."""
+    if isinstance(remembering, RandomHeld):
+        own = remembering.loop
+        loop = HeldLoop(own.model, own.K, replace(own.network, losses_max=readings_max))
+        arriving = _arriving(remembering)
+        if inertias == (1.0, 1.0) and not commands_max and delays == arriving:
+            return _decay_of_static_gain(loop)
+        remembering, delays = RandomHeld(loop), delays or arriving
+    if isinstance(remembering, RandomPredictor):
+        made, losses = remembering, (readings_max, commands_max)
+        return predictor_decay(made.loop, made.kalman, made.walks, losses, inertias, delays)
+    return losses_decay(remembering, readings_max, commands_max, inertias, delays)
+
+
+def _decay_of_static_gain(loop: HeldLoop) -> DecayPerSecond:
+    analysis = analyse_loop(loop)
+    if analysis.decay_certified_per_s is None:
+        raise NoSolution("certificate of the decay", analysis.without_certificate)
+    return DecayPerSecond(analysis.decay_certified_per_s, analysis.decay_found_per_s)
 
 
 def _arriving(remembering: Remembering) -> DelayRange | None:
@@ -110,3 +144,17 @@ def _bounded(
         "peak_certified_rad_s": load_nm * peak.certified,
         "peak_found_rad_s": load_nm * peak.reached,
     }
+
+
+def _decaying(
+    remembering: Remembering,
+    readings: int,
+    commands: int,
+    inertias: tuple[float, float],
+    delays: DelayRange | None,
+) -> dict[str, Any]:
+    try:
+        bound = decay_of(remembering, readings, commands, inertias, delays)
+    except NoSolution as error:
+        return {"decay_not_certified": str(error)}
+    return {"decay_certified_per_s": bound.certified, "decay_found_per_s": bound.found}

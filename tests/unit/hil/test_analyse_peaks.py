@@ -89,6 +89,16 @@ def test_what_is_no_range_of_inertias_is_refused(typed: str) -> None:
     assert "LEAST,MOST in percent" in said
 
 
+def test_the_slowest_decay_is_bounded_over_the_same_sequences() -> None:
+    said = analyse("ling2012-hinf.toml", "--losses-max", "2", "--decay", "--json")
+    assert said.exit_code == 0, said.output
+    none, one, two = json.loads(said.stdout)["peaks"]
+    assert none["decay_certified_per_s"] > 1.5 * one["decay_certified_per_s"]
+    for row in (none, one):
+        assert 0.95 * row["decay_found_per_s"] < row["decay_certified_per_s"] <= row["decay_found_per_s"]
+    assert "a pattern is known that destabilises the loop" in two["decay_not_certified"]
+
+
 def test_peaks_are_those_of_the_load_that_is_asked_for() -> None:
     options = ("--losses-max", "0", "--json", "--load-nm")
     one, two = (
