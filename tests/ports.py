@@ -1,5 +1,7 @@
-"""The frame port of a bus, as tests use it."""
+"""The frame port of a bus, as tests use it, and frames as an inlet keeps them."""
 
+import struct
+from collections.abc import Iterable
 from typing import Any
 
 from servobench.drivers.timebase import Instant
@@ -11,3 +13,8 @@ def fetched(bus: Any, until: Instant) -> tuple[WireFrame, Instant] | None:
     port: FramePort = bus.frame_port
     frame = port.receive(until)
     return None if frame is None else (frame, port.came_at)
+
+
+def kept_rows(frames: Iterable[tuple[bytes, Instant]]) -> bytes:
+    """Return data and instants of frames in the rows of ``Inlet.take_kept``."""
+    return b"".join(struct.pack("=q8sq", at, data, len(data)) for data, at in frames)

@@ -53,6 +53,14 @@ static inline FrameObject *make_frame(PyTypeObject *frame_type, int64_t can_id, 
     return NULL;
 }
 
+/* A data frame that was kept: a row of the octets in which one room gives another its frames. */
+enum { FRAME_OCTETS_MAX = 8 };
+typedef struct KeptFrame {
+    int64_t at;
+    unsigned char data[FRAME_OCTETS_MAX]; /* 0 beyond the length */
+    int64_t length;
+} KeptFrame;
+
 /* An identifier as Python's integer; those of 11 bits are made once. The reference is the caller's. */
 static inline PyObject *identifier(int64_t can_id)
 {
@@ -63,6 +71,21 @@ static inline PyObject *identifier(int64_t can_id)
     if (made[can_id] == NULL && (made[can_id] = PyLong_FromLongLong(can_id)) == NULL)
         return NULL;
     return another(made[can_id]);
+}
+
+/* Arguments table, identifier, entry: entered by the identifier's one object, which a dictionary finds without a
+   comparison of numbers, in a third of the time. */
+static inline PyObject *call_enter(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
+{
+    int64_t can_id;
+    (void)module;
+    if (!takes(count, 3, "enter") || !is_a(arguments[0], &PyDict_Type, "a dictionary")
+        || !integer(arguments[1], &can_id))
+        return NULL;
+    PyObject *key = identifier(can_id);
+    bool well = key != NULL && PyDict_SetItem(arguments[0], key, arguments[2]) == 0;
+    forget(&key);
+    return well ? nothing() : NULL;
 }
 
 /* The frame's type, with a reference as long as the process is there; NULL for an error. */

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from functools import partial
 
 from servobench.drivers.canopen.cob_ids import SYNC
-from servobench.drivers.core.native import Pump
+from servobench.drivers.core.native import Pump, enter
 from servobench.drivers.exchange import Master
 from servobench.drivers.timebase import Clock, Instant
 from servobench.drivers.wire.link import BusLink
@@ -93,7 +93,7 @@ class FramePump(Master):
         if first is None:
             self.handlers.pop(can_id, None)
         else:
-            self.handlers[can_id] = first
+            enter(self.handlers, can_id, first)
 
     def pump(self, until: Instant) -> None:
         """Handle frames, send what falls due, and return once ``until`` has come; at once if it has passed.

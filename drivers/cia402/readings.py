@@ -112,8 +112,9 @@ class ReadingAssembler:
         """Begin to keep the frames of a TPDO, malformed ones included, for :meth:`take_frames`."""
         self._inlets[cob_id].keep()
 
-    def take_frames(self, cob_id: int) -> list[tuple[bytes, Instant]]:
-        """Return the frames since the last call, each with its instant; none if they are not kept."""
+    def take_frames(self, cob_id: int) -> bytes:
+        """Return the frames since the last call, in rows (:meth:`Inlet.take_kept`); none if they are not
+        kept."""
         return self._inlets[cob_id].take_kept()
 
     @property

@@ -8,7 +8,7 @@ from servobench.drivers.canopen.pdo import Key, PdoPlan
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode
 from servobench.drivers.cia402.scaling import Scaling
-from servobench.drivers.core.native import SetPointFrame, nearest
+from servobench.drivers.core.native import SetPointFrame, enter, nearest
 from servobench.drivers.exchange import SentCommand
 from servobench.drivers.rotation import RAD_S_PER_RPM
 
@@ -67,7 +67,7 @@ class SetPointFrames:
         for pdo in plan.rpdos:
             fields = tuple((entry.bits // 8, _kind(entry.code)) for entry in pdo.entries)
             frame = SetPointFrame(network.link, pdo.cob_id, fields)
-            network.frame_pump.echo_handlers[pdo.cob_id] = frame
+            enter(network.frame_pump.echo_handlers, pdo.cob_id, frame)
             network.frame_pump.unsent_handlers[pdo.cob_id] = frame.given_up
             for place, entry in enumerate(pdo.entries):
                 key = (entry.index, entry.sub)

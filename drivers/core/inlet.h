@@ -2,6 +2,7 @@
 #ifndef CORE_INLET_H
 #define CORE_INLET_H
 
+#include "frames.h"
 #include "reception.h"
 
 /* Objects with a use; all others are skipped. */
@@ -16,7 +17,9 @@ typedef struct OctetField {
 typedef struct InletObject {
     PyObject head;
     ReceptionObject *reception;
-    PyObject *kept; /* a list of frames, each with its instant; NULL: they are not kept */
+    bool keeps;
+    KeptFrame *kept; /* since they were taken last */
+    Py_ssize_t kept_count, kept_room;
     OctetField fields[TOLD_COUNT];
     int octets;     /* of a frame as mapped */
     bool on_change; /* a torque demand and its stamp, sent when the demand changes */

@@ -1,12 +1,13 @@
 /* Python's Inlet (native.pyi): unpacks the frames of one TPDO. */
 #include <assert.h>
+#include <string.h>
 
 #include "inlet.h"
 #include "types.h"
 
 PyTypeObject *inlet_type;
 
-enum { OCTETS_MAX = 8, FIELD_OCTETS_MAX = 4 };
+enum { FIELD_OCTETS_MAX = 4, KEPT_AT_FIRST = 64 };
 
 static InletObject *inlet_of(PyObject *self) { return (InletObject *)self; }
 
@@ -22,18 +23,23 @@ static int64_t field(const InletObject *self, const unsigned char *octets, Told 
     return place->is_signed ? (int64_t)((raw ^ sign) - sign) : (int64_t)raw;
 }
 
-static bool keep(InletObject *self, PyObject *data, int64_t at)
+static bool keep(InletObject *self, const char *octets, Py_ssize_t length, int64_t at)
 {
-    PyObject *pair = PyTuple_New(2), *instant = PyLong_FromLongLong(at);
-    bool well = pair != NULL && instant != NULL;
-    if (well) {
-        PyTuple_SetItem(pair, 0, another(data));
-        PyTuple_SetItem(pair, 1, another(instant));
-        well = PyList_Append(self->kept, pair) == 0;
+    if (self->kept_count == self->kept_room) {
+        Py_ssize_t room = self->kept_room ? 2 * self->kept_room : KEPT_AT_FIRST;
+        KeptFrame *kept = PyMem_Realloc(self->kept, (size_t)room * sizeof *kept);
+        if (kept == NULL) {
+            PyErr_NoMemory();
+            return false;
+        }
+        self->kept = kept;
+        self->kept_room = room;
     }
-    forget(&instant);
-    forget(&pair);
-    return well;
+    assert(0 <= self->kept_count && self->kept_count < self->kept_room);
+    KeptFrame *frame = &self->kept[self->kept_count++];
+    *frame = (KeptFrame){.at = at, .length = length};
+    memcpy(frame->data, octets, (size_t)length);
+    return true;
 }
 
 static bool take_state(InletObject *self, const unsigned char *octets, int64_t at)
@@ -72,9 +78,9 @@ bool take_pdo(InletObject *self, PyObject *data, int64_t at)
 {
     char *octets;
     Py_ssize_t length;
-    if (self->kept != NULL && !keep(self, data, at))
-        return false;
     if (PyBytes_AsStringAndSize(data, &octets, &length) < 0)
+        return false;
+    if (self->keeps && length <= FRAME_OCTETS_MAX && !keep(self, octets, length, at))
         return false;
     if (length != self->octets) {
         self->reception->state.malformed++;
@@ -119,8 +125,8 @@ static PyObject *make(PyTypeObject *type, PyObject *arguments, PyObject *names)
     int on_change = PyObject_IsTrue(PyTuple_GetItem(arguments, 3));
     if (on_change < 0)
         return NULL;
-    if (octets < 0 || octets > OCTETS_MAX)
-        return PyErr_Format(PyExc_ValueError, "a PDO of %lld octets: at most %d expected", (long long)octets, OCTETS_MAX);
+    if (octets < 0 || octets > FRAME_OCTETS_MAX)
+        return PyErr_Format(PyExc_ValueError, "a PDO of %lld octets: at most %d expected", (long long)octets, FRAME_OCTETS_MAX);
     PyObject *self = PyType_GenericAlloc(type, 0);
     if (self == NULL)
         return NULL;
@@ -148,7 +154,7 @@ static void discard(PyObject *self)
     InletObject *inlet = inlet_of(self);
     PyObject *reception = (PyObject *)inlet->reception;
     forget(&reception);
-    forget(&inlet->kept);
+    PyMem_Free(inlet->kept);
     end_object(self);
 }
 
@@ -165,20 +171,18 @@ static PyObject *call_inlet(PyObject *self, PyObject *arguments, PyObject *names
 static PyObject *call_keep(PyObject *self, PyObject *none)
 {
     (void)none;
-    PyObject *before = inlet_of(self)->kept;
-    inlet_of(self)->kept = PyList_New(0);
-    forget(&before);
-    return inlet_of(self)->kept == NULL ? NULL : nothing();
+    inlet_of(self)->keeps = true;
+    inlet_of(self)->kept_count = 0;
+    return nothing();
 }
 
 static PyObject *call_take_kept(PyObject *self, PyObject *none)
 {
     (void)none;
-    PyObject *kept = inlet_of(self)->kept, *fresh = PyList_New(0);
-    if (fresh == NULL || kept == NULL)
-        return fresh;
-    inlet_of(self)->kept = fresh;
-    return kept;
+    InletObject *inlet = inlet_of(self);
+    Py_ssize_t octets = inlet->kept_count * (Py_ssize_t)sizeof *inlet->kept;
+    inlet->kept_count = 0;
+    return PyBytes_FromStringAndSize((const char *)inlet->kept, octets);
 }
 
 static PyMethodDef methods[] = {

@@ -5,6 +5,7 @@
 #include "types.h"
 
 static PyMethodDef functions[] = {
+    {"enter", (PyCFunction)(void (*)(void))call_enter, METH_FASTCALL, NULL},
     {"nearest", call_nearest, METH_O, NULL},
     {"data_frame", (PyCFunction)(void (*)(void))call_data_frame, METH_FASTCALL, NULL},
     {0},
@@ -37,9 +38,10 @@ static bool name_fields(void)
 
 static bool fill(PyObject *module)
 {
-    PyTypeObject *pump_type;
+    PyTypeObject *pump_type, *stopwatch_type;
     return add_type(module, "WireFrame", &frame_spec, &frame_type) && name_fields()
            && add_type(module, "Link", &link_spec, &link_type) && add_type(module, "Pump", &pump_spec, &pump_type)
+           && add_type(module, "Stopwatch", &stopwatch_spec, &stopwatch_type)
            && add_type(module, "CommandWatch", &command_watch_spec, &command_watch_type)
            && add_type(module, "FollowReports", &follow_reports_spec, &follow_reports_type)
            && add_type(module, "LastStatusword", &last_statusword_spec, &last_statusword_type)

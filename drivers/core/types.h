@@ -6,6 +6,7 @@
 
 extern PyType_Spec frame_spec, link_spec, pump_spec;
 extern PyType_Spec command_watch_spec, follow_reports_spec, inlet_spec, last_statusword_spec, reception_spec, set_point_frame_spec;
+extern PyType_Spec stopwatch_spec;
 extern PyTypeObject *frame_type, *link_type;
 extern PyTypeObject *command_watch_type, *follow_reports_type, *last_statusword_type;
 

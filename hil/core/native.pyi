@@ -80,10 +80,11 @@ class RegularStream:
         """Take a frame, ``delay`` after what it answers; return the surplus ones before it."""
 
     def compare(
-        self, frames: list[tuple[bytes, Instant]], marks: list[SyncMark], until: int, /
+        self, frames: bytes, marks: list[SyncMark], until: int, /
     ) -> tuple[list[tuple[Instant, bytes]], int]:
-        """Take ``frames`` as answers to the SYNCs ``marks``, which are in order of their places; return the
-        surplus ones, and how many were taken. Those from ``until`` on wait for the next call, 128 at most."""
+        """Take ``frames``, rows as an Inlet keeps them, as answers to the SYNCs ``marks``, in order of
+        their places; return the surplus ones, and how many were taken. Those from ``until`` on wait for the
+        next call, 128 at most."""
 
     def end(self) -> list[tuple[Instant, bytes]]:
         """End the stream: frames since the last regular one are surplus."""

@@ -5,6 +5,7 @@
 
 #include "answers.h"
 #include "attributes.h"
+#include "frames.h"
 #include "types.h"
 
 #define INSTANT_MAX (INT64_MAX / 2)
@@ -180,21 +181,35 @@ static bool add_answer(StreamObject *self, const Answer *answer)
     return true;
 }
 
-static bool read_answer(PyObject *pair, Answer *answer)
+static bool read_answer(const char *row, Answer *answer)
 {
-    return is_a(pair, &PyTuple_Type, "a tuple") && takes(PyTuple_Size(pair), 2, "a frame")
-           && read_octets(PyTuple_GetItem(pair, 0), &answer->octets)
-           && near_integer(PyTuple_GetItem(pair, 1), &answer->at);
+    KeptFrame frame;
+    memcpy(&frame, row, sizeof frame);
+    bool fits = -INSTANT_MAX <= frame.at && frame.at <= INSTANT_MAX && 0 <= frame.length && frame.length <= OCTETS_MAX;
+    if (!fits)
+        PyErr_Format(PyExc_ValueError, "a frame of %lld octets at %lld: at most %d and 62 bits expected",
+                     (long long)frame.length, (long long)frame.at, OCTETS_MAX);
+    answer->at = frame.at;
+    answer->octets.length = (int)frame.length;
+    memcpy(answer->octets.data, frame.data, sizeof frame.data);
+    return fits;
 }
 
-/* Put frames behind those that wait. */
+/* Put frames, in rows, behind those that wait. */
 static bool read_answers(StreamObject *self, PyObject *frames)
 {
-    Answer answer;
-    for (Py_ssize_t place = 0; place < PyList_Size(frames); place++) {
-        if (!read_answer(PyList_GetItem(frames, place), &answer) || !add_answer(self, &answer))
-            return false;
+    char *rows;
+    Py_ssize_t octets, row = (Py_ssize_t)sizeof(KeptFrame);
+    if (PyBytes_AsStringAndSize(frames, &rows, &octets) < 0)
+        return false;
+    if (octets % row != 0) {
+        PyErr_Format(PyExc_ValueError, "%zd octets: rows of %zd expected", octets, row);
+        return false;
     }
+    Answer answer;
+    for (Py_ssize_t place = 0; place < octets; place += row)
+        if (!read_answer(rows + place, &answer) || !add_answer(self, &answer))
+            return false;
     return true;
 }
 
@@ -266,7 +281,7 @@ static PyObject *call_compare(PyObject *self, PyObject *const *arguments, Py_ssi
 {
     int64_t until;
     Answer *answers;
-    if (!takes(count, 3, "compare") || !is_a(arguments[0], &PyList_Type, "a list")
+    if (!takes(count, 3, "compare") || !is_a(arguments[0], &PyBytes_Type, "octets")
         || !is_a(arguments[1], &PyList_Type, "a list") || !integer(arguments[2], &until)
         || !read_answers(object_of(self), arguments[0]))
         return NULL;

@@ -69,12 +69,12 @@ class SyncedStream:
     def __init__(
         self,
         pdo: PdoMap,
-        take_frames: Callable[[int], list[tuple[bytes, Instant]]],
+        take_frames: Callable[[int], bytes],
         syncs: SyncLog,
         period: Duration,
         delays: Callable[[], DelaysKnown],
     ) -> None:
-        """``take_frames``: by COB-ID, those that came since the last call. ``period``: of the SYNCs.
+        """``take_frames``: by COB-ID, those that came since the last call, in rows. ``period``: of the SYNCs.
         ``delays``: of the drive's readings, asked at each look: one that was longer than a period and then
         is not brings two frames for one SYNC."""
         self._frames_of, self._syncs, self._delays = take_frames, syncs, delays

@@ -7,7 +7,14 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, Final
 
-from servobench.drivers.core.native import CommandWatch, FollowReports, Inlet, LastStatusword, Reception
+from servobench.drivers.core.native import (
+    CommandWatch,
+    FollowReports,
+    Inlet,
+    LastStatusword,
+    Reception,
+    enter,
+)
 from servobench.drivers.timebase import Duration, Instant
 from tests.core_fuzz.fates import ODD, Refused
 
@@ -90,6 +97,7 @@ def _used(draw: random.Random) -> "weakref.ref[_Syncs]":
             partial(draw.choice(inlets), draw.randbytes(8), at),
             draw.choice(inlets).keep,
             draw.choice(inlets).take_kept,
+            partial(enter, draw.choice([{}, odd]), odd, odd),
             draw.choice([reception.readings, reception.readbacks, reception.changes]).clear,
             partial(reception.anchor_position, raw, at),
             partial(reception.position_rad, draw.choice([None, raw])),

@@ -5,6 +5,7 @@ import random
 from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.hil.core.native import RegularStream
 from servobench.hil.loop.syncs import SyncMark
+from tests.ports import kept_rows
 
 
 def streams(draw: random.Random) -> None:
@@ -20,10 +21,12 @@ def streams(draw: random.Random) -> None:
         marks = [*marks, SyncMark(number, number, Instant(at))][-draw.choice([3, 128, 200]) :]
         marks[-1].place += number // 10 * draw.choice([1, 100])
         marks[-1].on_bus_at = draw.choice([None, Instant(at + draw.randrange(NS_PER_MS))])
-        came = [
+        came = kept_rows(
             (draw.randbytes(draw.randrange(3)), Instant(at + draw.randrange(3)))
             for _ in range(draw.randrange(3))
-        ]
+        )
+        if draw.random() < 0.05:
+            came = draw.randbytes(draw.choice([1, 24, 48]))
         try:
             if draw.random() < 0.5:
                 stream.take(number * step, draw.randrange(NS_PER_MS), draw.randbytes(draw.randrange(10)), at)

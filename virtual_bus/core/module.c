@@ -64,6 +64,7 @@ static PyObject *call_user_position(PyObject *module, PyObject *const *arguments
 }
 
 static PyMethodDef functions[] = {
+    {"enter", (PyCFunction)(void (*)(void))call_enter, METH_FASTCALL, NULL},
     {"clipped", (PyCFunction)(void (*)(void))call_clipped, METH_FASTCALL, NULL},
     {"user_position", (PyCFunction)(void (*)(void))call_user_position, METH_FASTCALL, NULL},
     {"sine_cosine", call_sine_cosine, METH_O, NULL},

@@ -10,6 +10,10 @@ from servobench.virtual_bus.device.object_dictionary import Variable
 SOURCES_DIGEST: str
 """Digest of the C sources of the core (servobench.design.core.build)."""
 
+def enter(table: dict[int, Any], can_id: int, entry: object, /) -> None:
+    """Set ``table[can_id]`` by the one integer that this core has of an identifier: so a frame's handlers are
+    found in a third of the time."""
+
 def sine_cosine(angle_rad: float, /) -> tuple[float, float]:
     """Sine and cosine, error below 4e-16 for magnitudes up to 1000 rad."""
 

@@ -234,11 +234,12 @@ static bool hand_to(PortObject *port, Delivery *delivery)
 
 static bool hand_to_all(PyObject *monitors, PyObject *ports, PortObject *sender, Delivery *delivery)
 {
-    for (Py_ssize_t place = 0; place < PyTuple_Size(monitors); place++) {
+    Py_ssize_t monitor_count = PyTuple_Size(monitors), port_count = PyTuple_Size(ports);
+    for (Py_ssize_t place = 0; place < monitor_count; place++) {
         if (!tell(PyTuple_GetItem(monitors, place), delivery))
             return false;
     }
-    for (Py_ssize_t place = 0; place < PyTuple_Size(ports); place++) {
+    for (Py_ssize_t place = 0; place < port_count; place++) {
         PortObject *port = (PortObject *)PyTuple_GetItem(ports, place);
         if (port != sender && !hand_to(port, delivery))
             return false;

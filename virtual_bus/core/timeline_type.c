@@ -185,6 +185,8 @@ PyType_Spec event_spec = {
 typedef struct ClockObject {
     PyObject head;
     PyObject *timeline;
+    PyObject *told; /* the last instant told, as Python's integer; NULL: none yet */
+    int64_t told_at;
 } ClockObject;
 
 static PyObject *make_clock(PyTypeObject *type, PyObject *arguments, PyObject *names)
@@ -209,13 +211,25 @@ static void discard_clock(PyObject *self)
 {
     PyObject_GC_UnTrack(self);
     forget(&((ClockObject *)self)->timeline);
+    forget(&((ClockObject *)self)->told);
     end_object(self);
 }
 
+/* One instant is asked for some times in a cycle: its integer is made once. */
 static PyObject *call_now(PyObject *self, PyObject *none)
 {
+    ClockObject *clock = (ClockObject *)self;
+    int64_t now = timeline_of(clock->timeline)->now;
     (void)none;
-    return PyLong_FromLongLong(timeline_of(((ClockObject *)self)->timeline)->now);
+    if (clock->told == NULL || clock->told_at != now) {
+        PyObject *told = PyLong_FromLongLong(now);
+        if (told == NULL)
+            return NULL;
+        forget(&clock->told);
+        clock->told = told;
+        clock->told_at = now;
+    }
+    return another(clock->told);
 }
 
 /* By the method of a Python class on top of the timeline, where there is one. */

@@ -5,7 +5,7 @@ from typing import Final
 
 from servobench.drivers.canopen.nmt_states import NmtState
 from servobench.drivers.timebase import Instant
-from servobench.virtual_bus.core.native import CyclicDevice, CyclicRpdo, SyncTaker, Timer
+from servobench.virtual_bus.core.native import CyclicDevice, CyclicRpdo, SyncTaker, Timer, enter
 from servobench.virtual_bus.device.application import Application
 from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
 from servobench.virtual_bus.device.pdo_task import PdoTask
@@ -58,14 +58,14 @@ class Station:
     def listen(self, can_id: int, handler: Handler, *, remote: bool = False) -> None:
         """Call ``handler`` for each data (or remote) frame with this CAN-ID."""
         handlers = self.remote_handlers if remote else self.data_handlers
-        handlers[can_id] = (*handlers.get(can_id, ()), handler)
+        enter(handlers, can_id, (*handlers.get(can_id, ()), handler))
 
     def ignore(self, can_id: int, handler: Handler, *, remote: bool = False) -> None:
         """Undo :meth:`listen`; nothing happens if it was not listening."""
         handlers = self.remote_handlers if remote else self.data_handlers
         left = tuple(other for other in handlers.get(can_id, ()) if other != handler)
         if left:
-            handlers[can_id] = left
+            enter(handlers, can_id, left)
         else:
             handlers.pop(can_id, None)
 

@@ -15,6 +15,7 @@ from servobench.drivers.wire.frame_port import EchoBasis
 from servobench.hil.configuration.config import Foreign, Guard
 from servobench.hil.execution.bus_guard import OBJECTS_TOLD, BusGuard, ForeignTraffic
 from servobench.hil.loop.syncs import SyncLog
+from tests.ports import kept_rows
 
 MADE_AT: Final = Instant(1_000_000)
 AT: Final = Instant(5_000)
@@ -74,9 +75,9 @@ class Bus:
     def arm(self, syncs: bool = True) -> None:
         self.guard.arm({None: self.syncs} if syncs else {}, PERIOD)
 
-    def take_frames(self, cob_id: int) -> list[tuple[bytes, Instant]]:
+    def take_frames(self, cob_id: int) -> bytes:
         taken, self.taken[cob_id] = self.taken[cob_id], []
-        return taken
+        return kept_rows(taken)
 
     def hear(self, can_id: int, data: str = "", at: Instant = AT) -> None:
         self.handlers[can_id](bytes.fromhex(data), at)

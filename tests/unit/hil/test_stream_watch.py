@@ -11,6 +11,7 @@ from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 from servobench.drivers.wire.frame_port import EchoBasis
 from servobench.hil.execution.stream_watch import DelaysKnown, SyncedStream, TimedStream
 from servobench.hil.loop.syncs import SyncLog
+from tests.ports import kept_rows
 
 PERIOD: Final = NS_PER_MS
 DELAY: Final = 300_000
@@ -35,10 +36,10 @@ class Stream:
         period = Duration(PERIOD)
         self.watch = SyncedStream(pdo, self.take_frames, self.syncs, period, lambda: self.delays)
 
-    def take_frames(self, cob_id: int) -> list[tuple[bytes, Instant]]:
+    def take_frames(self, cob_id: int) -> bytes:
         assert cob_id == 0x181
         frames, self.frames = sorted(self.frames), []
-        return [(data, at) for at, data in frames]
+        return kept_rows((data, at) for at, data in frames)
 
     def told(self, arrivals: dict[int, list[int]], syncs: int, at_end: bool = False) -> list[bytes]:
         """What is told of ``syncs``; ``arrivals``: by SYNC, delays of its frames, ns, negative: forged."""
