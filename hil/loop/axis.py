@@ -5,17 +5,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
+from servobench.drivers.core.native import Stopwatch
 from servobench.drivers.errors import LimitExceeded
 from servobench.drivers.exchange import Drive, Reading
 from servobench.drivers.record import replaced
-from servobench.drivers.timebase import NEVER, NS_PER_US, Duration, Instant, MonotonicClock
+from servobench.drivers.timebase import NEVER, NS_PER_US, Duration, Instant
 from servobench.hil.loop.attribution import HELD_FOR, HELD_MAX
 from servobench.hil.loop.axis_roles import Compensator, Controller, LoadMachine
 from servobench.hil.loop.clock_map import STAMP_RESOLUTION
 from servobench.hil.loop.command_meter import CommandMeter
 from servobench.hil.loop.context import Context
 from servobench.hil.loop.cycle_record import CycleRecord
-from servobench.hil.loop.decision import Decision, Tick
+from servobench.hil.loop.decision import Decision, Decisions, Tick
 from servobench.hil.loop.delay import DelayMeter, Fate
 from servobench.hil.loop.lessons import Lessons
 from servobench.hil.loop.order_attribution import OrderAttribution
@@ -78,24 +79,20 @@ class Axis:
         self.commands = CommandMeter(parts.horizon, syncs, parts.acts_at_syncs)
         self.readbacks = ReadbackTie(syncs, period, parts.horizon)
         self._changes = ProvedChanges(REVOKED)
-        self._number = number
-        self._period = period
+        self._number, self._period = number, period
         self._attribute()
         self._by_stamps = not self.by_stamp.stamps.too_coarse
         self._held_max = max(REVOKED, min(HELD_MAX, HELD_FOR // period))
         self._record = record
         self._asks_speeds = parts.reference.quantity is Quantity.SPEED
         self._asks_positions = parts.reference.quantity is Quantity.POSITION
-        self._drive = parts.drive
-        self._controller = parts.controller
-        self._compensator = parts.compensator
+        self._drive, self._controller, self._compensator = parts.drive, parts.controller, parts.compensator
         self._context = Context(period, parts.reference)
         self._way_back = WayBack(parts.reference, period, *parts.guard.path_limits)
-        self._host = MonotonicClock()  # what compensator and controller take is real in any case
+        self._lap = Stopwatch().lap  # what compensator and controller take is real in any case
         self.uncertain = 0  # rows marked so
         self.lessons = Lessons(syncs)
-        self._decisions: list[Decision] = []  # of cycles whose readings' fates are open, the oldest first
-        self._settled: list[Decision] = []  # of those whose commands' fates still are
+        self._decisions, self._settled = Decisions(), Decisions()  # open: the readings' fates; the commands'
         self._load_nm, self._begun = 0.0, 0
         self._kept: list[Reading] = []  # readings that came and are not taken in yet, in their order
 
@@ -192,12 +189,16 @@ class Axis:
         """Take in what had arrived ``before``, but for readings whose SYNC's echo may be on its way yet, and
         for those that may answer a SYNC whose cycle is to begin."""
         kept, syncs = self._kept, self.parts.syncs
-        if self._drive.has_readings():
-            for reading in self._drive.take_readings():  # by ones: a slice takes ten times as long
-                kept.append(reading)
-        if not kept:
+        came = self._drive.take_readings() if self._drive.has_readings() else kept
+        if not (came or kept):
             return
         before = min(before, syncs.end_of_first_after(self._begun))
+        at = came[0].received_at if len(came) == 1 and not kept else NEVER
+        if at < before and not syncs.awaits_echo(at):  # nearly always: it needs no way through the list
+            self._take(came[0])
+            return
+        if came is not kept:
+            kept.extend(came)
         while kept and kept[0].received_at < before and not syncs.awaits_echo(kept[0].received_at):
             self._take(kept.pop(0))
 
@@ -225,7 +226,7 @@ class Axis:
         """Compute, limit and send the command of this cycle."""
         parts, context, guard = self.parts, self._context, self.parts.guard
         apply_at = Instant(apply_at + parts.acts_later)
-        decision = self._decisions[-1]
+        decision = self._decisions.newest()
         self._apply_load(parts.load.value(tick.time_s))
         decision.load_torque_nm = self._load_nm
         fresh = len(context.samples) > 0
@@ -237,10 +238,10 @@ class Axis:
         context.follows = decision.follows = follows = self._drive.follows()
         if not follows or self._way_back.active:
             self._way_back.lead(context, tick.time_s)
-        began = self._host.now()
+        self._lap()
         context.estimate = estimate = self._compensator.estimate(context)
         demand = guard.demand(self._controller.output(context))
-        took = self._host.now() - began
+        took = self._lap()
         command = guard.command(tick.sequence, demand, apply_at, Instant(apply_at + self._period))
         self._check(guard.check_cycle(fresh, demand, estimate))
         self._drive.check()
@@ -249,12 +250,12 @@ class Axis:
             self.commands.sent(sent)
             context.sent = command
         acting = command if follows else guard.in_place_of(command, context.newest)
-        began = self._host.now()
+        self._lap()
         if sent is not None:
             self._compensator.sent(acting)
         self._controller.update(context, acting)
         decision.channels = self._controller.telemetry()
-        decision.compute_ns = took + self._host.now() - began
+        decision.compute_ns = took + self._lap()
         context.samples.clear()
         decision.estimate = estimate
         decision.command = command
@@ -269,8 +270,7 @@ class Axis:
         for fate in self.meter.settle(self.parts.syncs.heard_ns):
             self._hold(fate)
         settled = self._settled
-        while settled:
-            decision = settled[0]
+        while (decision := settled.first) is not None:
             if now - decision.tick.sequence <= self._hold_cycles():
                 return
             sending = None
@@ -278,7 +278,7 @@ class Axis:
                 sending = self.commands.outcome(decision.tick.sequence, now)
                 if sending is None:
                     return
-            settled.pop(0)
+            settled.take_first()
             self._finish(decision, sending)
 
     def settle_all(self, now: int) -> None:
@@ -287,7 +287,7 @@ class Axis:
             self._take(self._kept.pop(0))
         self._collect_demands(at_end=True)
         for fate in self.meter.settle_all(self.parts.syncs.heard_ns):
-            if self._decisions:
+            if self._decisions.first is not None:
                 self._hold(fate)
         self._settle(now)
 
@@ -346,7 +346,7 @@ class Axis:
         return REVOKED if self.by_stamp.spread else 0
 
     def _hold(self, fate: Fate) -> None:
-        decision = self._decisions.pop(0)
+        decision = self._decisions.take_first()
         decision.fate = fate
         self._settled.append(decision)
 

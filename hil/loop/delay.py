@@ -54,6 +54,8 @@ class _Outstanding:
         self.fate: Fate | None = None
         self.doubtful = False
         """True if the fate rests on a reading of uncertain place."""
+        self.following: _Outstanding | None = None
+        """That of the next sequence."""
 
 
 class _Doubt:
@@ -71,7 +73,10 @@ class DelayMeter:
         """``deadline``: oldest usable age on arrival; ``horizon``: SYNCs after which one is lost."""
         self._deadline = deadline
         self._horizon = horizon
-        self._outstanding: list[_Outstanding] = []
+        self._first: _Outstanding | None = None
+        """Outstanding ones, a chain: for a list to give its first away takes ten times as long."""
+        self._last: _Outstanding | None = None
+        self._count = 0
         self._newest = 0
         self._newest_certain = 0
         """Like ``newest``, for readings whose place was certain: only to them another is certainly stale."""
@@ -95,13 +100,21 @@ class DelayMeter:
 
     def sync_sent(self, sequence: int, due_at: Instant, heard_ns: int) -> None:
         """A SYNC has gone out; sequences must rise. ``heard_ns``: for how long the bus had been heard of."""
-        self._outstanding.append(_Outstanding(sequence, due_at, heard_ns))
+        self._append(_Outstanding(sequence, due_at, heard_ns))
 
     def missed(self, sequence: int, due_at: Instant) -> None:
         """A cycle goes without SYNC."""
         place = _Outstanding(sequence, due_at, 1 << 62)
         place.fate = Fate(sequence, Dropout(sequence, due_at, DropoutCause.MISSED, True), None)
-        self._outstanding.append(place)
+        self._append(place)
+
+    def _append(self, place: _Outstanding) -> None:
+        if self._last is None:
+            self._first = place
+        else:
+            self._last.following = place
+        self._last = place
+        self._count += 1
 
     def arrived(self, sample: Sample) -> bool:
         """A reading has come; whether the loop may use it."""
@@ -139,21 +152,26 @@ class DelayMeter:
         adapter that stands still, with its stamp: it is lost for certain when the bus has been heard of for
         as long as the horizon.
         """
-        outstanding = self._outstanding
         fates: list[Fate] = []
-        while outstanding:
-            fate = outstanding[0].fate
+        while (first := self._first) is not None:
+            fate = first.fate
             if fate is None:
-                behind = len(outstanding) - 1 - self._horizon
+                behind = self._count - 1 - self._horizon
                 if behind < 0:
                     break
-                first, last = outstanding[0], outstanding[self._horizon]
+                last = first
+                for _ in range(self._horizon):
+                    assert last.following is not None
+                    last = last.following
                 heard = heard_ns - first.heard_ns >= last.due_at - first.due_at
                 if not heard and behind < UNHEARD_MAX:
                     break
-                fate = self._lost(outstanding[0], heard)
+                fate = self._lost(first, heard)
             fates.append(fate)
-            outstanding.pop(0)
+            self._first = first.following
+            self._count -= 1
+            if self._first is None:
+                self._last = None
         return fates
 
     def settle_all(self, heard_ns: int) -> list[Fate]:
@@ -161,21 +179,28 @@ class DelayMeter:
         SYNC after its own, and a later reading has come: a drive that stands still may be about to answer."""
         fates: list[Fate] = []
         after = 1 << 62
-        for place in reversed(self._outstanding):
+        for place in reversed(self._outstanding()):
             certain = heard_ns > after and place.sequence < self._newest_certain
             fates.append(place.fate or self._lost(place, certain))
             after = min(after, place.heard_ns)
-        self._outstanding.clear()
+        self._first = self._last = None
+        self._count = 0
         fates.reverse()
         return fates
 
+    def _outstanding(self) -> list[_Outstanding]:
+        places: list[_Outstanding] = []
+        place = self._first
+        while place is not None:
+            places.append(place)
+            place = place.following
+        return places
+
     def _find(self, sequence: int) -> _Outstanding | None:
-        if not self._outstanding:
-            return None
-        index = sequence - self._outstanding[0].sequence
-        if 0 <= index < len(self._outstanding):
-            return self._outstanding[index]
-        return None
+        place = self._first
+        while place is not None and place.sequence < sequence:
+            place = place.following
+        return None if place is None or place.sequence != sequence else place
 
     def _lost(self, place: _Outstanding, certain: bool) -> Fate:
         return Fate(place.sequence, Dropout(place.sequence, place.due_at, DropoutCause.LOST, certain), None)

@@ -108,10 +108,13 @@ class FollowedCommand:
         """
         if fate is not CommandFate.ACTING:
             return self.not_before if self.passed and self.replaced and not self.possible else None
-        known = self.first_there
-        for at in (self.stamped_from, self.not_before_usual if in_order else None):
-            if at is not None and known < at and (self.acts_by is None or at <= self.acts_by):
-                known = at
+        known = self._later(self.first_there, self.stamped_from)
+        return self._later(known, self.not_before_usual) if in_order else known
+
+    def _later(self, known: Instant, at: Instant | None) -> Instant:
+        """Return the later of two instants at which it did not act yet; none is later than it acted."""
+        if at is not None and known < at and (self.acts_by is None or at <= self.acts_by):
+            return at
         return known
 
     def acted_before(self, at: Instant) -> bool:

@@ -185,15 +185,14 @@ class Loop:
                 axis.probed()
             axis.begin(tick)
         self._await_readings(tick)
+        now = due
         for axis in axes:
             now = self._now()
             axis.decide(tick, now, self._apply_at(due, now))
         for axis in axes:
             axis.settle(self._number)
-        if self._chore is not None:
-            now = self._now()
-            if now >= self._chore_at:
-                self._chore_at = self._chore(now)
+        if self._chore is not None and now >= self._chore_at:
+            self._chore_at = self._chore(self._now())
 
     def _await_readings(self, tick: Tick) -> None:
         network, axes, decide_after = self._network, self._axes, self._timing.decide_after

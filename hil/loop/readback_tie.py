@@ -13,7 +13,6 @@ overtake one another, come twice or were lost, it is of an instant from one to a
 next reading has come, as two demands behind one reading show that they are not in order.
 """
 
-from collections import deque
 from typing import Final
 
 from mypy_extensions import mypyc_attr
@@ -127,8 +126,9 @@ class ReadbackTie:
         for readback in readbacks:
             pending.append(readback)
         tellings: list[Telling] = []
-        while pending:
-            first = pending[0]
+        done = 0
+        while done < len(pending):
+            first = pending[done]
             count = first.readings
             if count > self.readings:
                 break
@@ -138,16 +138,20 @@ class ReadbackTie:
                 self.unordered += self.doubtful
                 self._tied = behind.mark.number
                 tellings.append(Telling(first, behind.since, behind.until, behind.mark))
-                pending.pop(0)
+                done += 1
                 continue
             if count == self.readings and not (at_end or self.doubtful or self._silent_since(first)):
                 break
-            slot = [pending.pop(0)]
-            while pending and pending[0].readings == count:
-                slot.append(pending.pop(0))
+            slot = [first]
+            done += 1
+            while done < len(pending) and pending[done].readings == count:
+                slot.append(pending[done])
+                done += 1
             self._place(slot, behind, tellings)
-        if at_end:
+        if at_end or done == len(pending):
             pending.clear()
+        elif done:
+            del pending[:done]
         return tellings
 
     def _silent_since(self, readback: Readback) -> bool:
@@ -288,33 +292,39 @@ class ProvedChanges:
     def __init__(self, settled: int) -> None:
         """``settled``: where delays spread, a certain reading may be taken back until so many more came."""
         self._pending: list[DemandChange] = []
-        self._stamps: deque[int] = deque(maxlen=settled + 1)
-        """Of the last readings that were placed for certain in a row."""
+        self._stamps = [0] * (settled + 1)
+        """A ring, of the last readings that were placed for certain in a row."""
+        self._certain = 0
+        """So many were in a row."""
         self._since_ns = 0
         """Of the first of them."""
 
     def reading(self, reading: Reading, *, certain: bool) -> None:
         """The next reading with a stamp was placed."""
         if not certain:
-            self._stamps.clear()
+            self._certain = 0
             self._pending.clear()
-        elif reading.device_time_ns is not None:
-            if not self._stamps:
-                self._since_ns = reading.device_time_ns
-            self._stamps.append(reading.device_time_ns)
+            return
+        device_ns = reading.device_time_ns
+        if device_ns is None:
+            return
+        if self._certain == 0:
+            self._since_ns = device_ns
+        self._stamps[self._certain % len(self._stamps)] = device_ns
+        self._certain += 1
 
     def take(self, changes: list[DemandChange], *, spread: bool) -> list[DemandChange]:
         """Those of ``changes``, and of the ones that waited, that are proved now."""
-        pending, stamps = self._pending, self._stamps
+        pending, stamps, certain = self._pending, self._stamps, self._certain
         pending.extend(changes)
         if not pending:
             return pending
-        if not stamps:
+        if certain == 0:
             pending.clear()
             return []
-        if spread and len(stamps) < (stamps.maxlen or 0):
+        if spread and certain < len(stamps):
             return []
-        until_ns = stamps[0] if spread else stamps[-1]
+        until_ns = stamps[(certain if spread else certain - 1) % len(stamps)]
         proved = [change for change in pending if self._since_ns <= change.device_time_ns <= until_ns]
         self._pending = [change for change in pending if change.device_time_ns > until_ns]
         return proved

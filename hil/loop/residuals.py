@@ -11,7 +11,6 @@ the same from SYNC to SYNC is in none of them: it cannot be told from the offset
 """
 
 from bisect import insort
-from collections import deque
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final
@@ -185,7 +184,7 @@ class Residuals:
         self._last = 0
         self.hidden = 0
         """What a SYNC may be late without the stamp telling, as the stamp waits for a tick of the drive."""
-        self._recent: deque[int] = deque(maxlen=CLUSTERED)
+        self._recent: list[int] = []  # a ring once it is full
         self._count = 0
         self._expected = self.change_ns = expected
         """The mean change from one to the next."""
@@ -255,7 +254,10 @@ class Residuals:
         if residual < extremes.low - slack or residual > extremes.high + slack:
             extremes.distrust()
         extremes.add(residual)
-        self._recent.append(residual)
+        if self._count < CLUSTERED:
+            self._recent.append(residual)
+        else:
+            self._recent[self._count % CLUSTERED] = residual
         self._count += 1
         if self._count % (CLUSTERED // 4) == 0 and self.early + self.late:
             self._look_for_gap(unseen_ns)
@@ -286,5 +288,7 @@ class Residuals:
 
     def cut(self, residual: int, unseen_ns: int) -> int:
         """``residual``, no further out than what one of many may well be."""
+        if -unseen_ns <= residual <= unseen_ns:
+            return residual
         most = _round(OUTLYING * self.change_ns) + unseen_ns
         return min(max(residual, -most), most)
