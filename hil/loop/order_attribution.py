@@ -177,8 +177,10 @@ class OrderAttribution:
         self._in_question.follow(age, self._answered, number)
 
     def _lags(self) -> int:
-        """How many SYNCs a reading may answer: the one before, and others since the last certain one."""
-        missing = self._open.since(self._known) + self._syncs.unheard_since(self._mark(self._known))
+        """How many SYNCs a reading may answer: the one before, and others since the last certain one, or the
+        oldest remembered where most were in doubt."""
+        known = min(self._known, self._syncs.marks[0].number) if self._usual.doubted else self._known
+        missing = self._open.since(known) + self._syncs.unheard_since(self._mark(known))
         return 1 + missing + self._in_question.odd
 
     def _weigh(self, mark: SyncMark, received_at: Instant) -> SyncMark:

@@ -9,7 +9,7 @@ from typing import Final
 
 from servobench.drivers.timebase import Duration, Instant
 from servobench.hil.loop.attribution import HELD_MAX
-from servobench.hil.loop.order_evidence import LAGS_MAX, WATCHED, OrderEvidence
+from servobench.hil.loop.order_evidence import WATCHED, OrderEvidence
 from servobench.hil.loop.syncs import SyncLog
 from servobench.hil.loop.usual_delays import (
     ALIKE_MIN,
@@ -266,8 +266,6 @@ class OrderQuestion:
 
         ``beyond``: no row waits for the answer. ``untidy``: frames are held up now and then.
         """
-        if self._usual.doubted:  # and so is what they are counted from
-            lags = LAGS_MAX
         evidence, phase = self.evidence, self.phase_known
         untidy = untidy or (self.odd > 0 and len(evidence) < EVIDENCE_UNUSUAL)
         due = self.asked <= PROBE_AFTER or self.asked % (WATCHED // 4 if beyond else 2) == 0

@@ -64,3 +64,10 @@ def test_what_two_explanations_fit_alike_is_not_certain(seed: int, cycles: int) 
     from a reading in doubt; a bound lacked what stamps do not tell. 448, 5 and 2 rows, 6 bounds."""
     verdict = judged(drawn_plan(seed), cycles)
     assert verdict.wrong == {}, verdict.examples
+
+
+def test_delays_grow_by_no_more_periods_than_readings_are_missing() -> None:
+    """Traffic that beats with the SYNCs held them up as it had 30 periods before, and most of the last
+    readings were in doubt: "its readings come 30050 us after their SYNC now", and one was late."""
+    verdict = judged(drawn_plan(460469), 1120)
+    assert verdict.wrong == {}, verdict.examples
