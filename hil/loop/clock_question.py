@@ -16,7 +16,7 @@ from servobench.drivers.timebase import Duration, Instant
 from servobench.drivers.wire.frame_port import EchoBasis
 from servobench.hil.loop.drive_stamps import DriveStamps
 from servobench.hil.loop.residuals import NEARER, DelayExtremes
-from servobench.hil.loop.suspects import STEP_COST, Line, Suspect
+from servobench.hil.loop.suspects import DELAY_COST, LIKELY_COST_MAX, LOSS_COST_MAX, STEP_COST, Line, Suspect
 from servobench.hil.loop.syncs import STAMPED_LATE, SURPLUS, SyncLog, SyncMark
 
 AGREEING: Final = 8
@@ -28,13 +28,6 @@ AGREEING_ALONE: Final = 2 * AGREEING
 SUSPECTS_MAX: Final = 48
 """After so many an unlikely answer is taken too. If there is none it is settled for the clock as it was,
 unless a reading would have come before its SYNC."""
-DELAY_COST: Final = 3
-"""Beside :data:`STEP_COST`, that the smallest delay changed by more than half a period,"""
-LOSS_COST_MAX: Final = 2
-"""and that readings were lost just then, one each up to this: a step and a change of delay are as rare as one
-another, while losses are common and come in bursts."""
-LIKELY_COST_MAX: Final = STEP_COST + LOSS_COST_MAX
-"""One of the two, and losses."""
 EXCLUDING: Final = 12.0
 """A line is none if another is e^12, 160 000 times, likelier by how far the readings lie off it. So SYNCs
 that are not at equal distances tell which ones they are."""
@@ -45,6 +38,10 @@ RARE: Final = 8
 """One suspect in so many may lie off its SYNC by more than any stamp did though the clock was not set,"""
 OUTLYING: Final = 4.0
 """and weighs no more than one so many deviations off: each is rare by itself."""
+SHOWN_MIN: Final = 3
+"""Suspects that lie on SYNCs as the clock was show what delays were before it was set,"""
+SCATTER_PARTS: Final = 20
+"""where stamps lie within such a part of a period: three lie so by chance once in a thousand times."""
 UNHEARD_PARTS: Final = 4
 """One suspect in so many may answer a SYNC of another node that was not heard: or else lines would be lost
 for the lack of one, and one that needs none of them taken though it is the worse."""
@@ -78,6 +75,7 @@ class ClockQuestion:
         """Number of the newest SYNC answered when the question was put."""
         self.twice = 0
         """Readings that came twice since the last one that raised no question."""
+        self._low = 0
         self._syncs = syncs
         self._stamps = stamps
         self._transit = transit
@@ -189,7 +187,7 @@ class ClockQuestion:
         happened. ``unlikely``: or a step, and that the smallest delay has changed by less than a period, or
         whatever is needed for the only one, if all suspects lie on it."""
         last, earlier = suspects[-self.agreeing :], suspects[: -self.agreeing]
-        lines = self._borne_out(self.lines(last), earlier)
+        lines = self._borne_out(self.lines(last, self._low_before(earlier)), earlier)
         if unlikely and len(lines) == 1 and self._misfit(lines[0], earlier) <= MISFIT_MOST * len(earlier):
             return lines
         lines = [
@@ -198,6 +196,19 @@ class ClockQuestion:
             if line.cost <= LIKELY_COST_MAX or (unlikely and line.delay_change < 2 * self._half)
         ]
         return sorted(lines, key=lambda line: (line.cost, line.steps, line.delay_change))
+
+    def _low_before(self, earlier: list[Suspect]) -> int:
+        """The smallest delay before a step: that of the first suspects, if several of them lie on SYNCs as
+        the clock was, which no chance makes of stamps that scatter little."""
+        delays: list[int] = []
+        place, near_ns = self._stamps.clock.place, self._stamps.near_ns
+        for suspect in earlier:
+            at = place(suspect.device_ns)
+            if suspect.second or abs(self._miss(at)) > near_ns:
+                break
+            delays.append(suspect.received_at - at)
+        shown = len(delays) >= SHOWN_MIN and 2 * self._half >= SCATTER_PARTS * near_ns
+        return min(delays) if shown else self.delays.low
 
     def _borne_out(self, lines: list[Line], earlier: list[Suspect]) -> list[Line]:
         """Those of ``lines`` that ``earlier`` suspects bear out as well as any: a few readings, looked at
@@ -220,9 +231,10 @@ class ClockQuestion:
             misfit += min(miss * miss / variance, OUTLYING**2) / 2.0
         return misfit
 
-    def lines(self, last: list[Suspect]) -> list[Line]:
+    def lines(self, last: list[Suspect], low: int | None = None) -> list[Line]:
         """Every way to place the last suspects on SYNCs, all of them on one line, that is not so much less
-        likely than another by how far they lie off it."""
+        likely than another by how far they lie off it. ``low``: the smallest delay before them."""
+        self._low = self.delays.low if low is None else low
         received_at = last[0].received_at
         match_ns, residuals = self._stamps.unmapped_ns, self._stamps.residuals
         scatter = residuals.variance_ns2(match_ns) > 0.0
@@ -350,7 +362,7 @@ class ClockQuestion:
             cost = STEP_COST + min(max(0, lost - self.twice), LOSS_COST_MAX)
         else:
             cost = min(lost + self.twice, LOSS_COST_MAX)
-        change = abs(smallest - self.delays.low)
+        change = abs(smallest - self._low)
         if change > self._half + self.delays.slack():
             cost += DELAY_COST
         return Line(cost, change, tuple(marks), steps, misfit, moved_by)

@@ -6,7 +6,14 @@ from servobench.drivers.timebase import Instant
 from servobench.hil.loop.syncs import SURPLUS, SyncMark
 
 STEP_COST: Final = 3
-"""Of a way to place suspects: that a clock was set."""
+"""Of a way to place suspects: that a clock was set,"""
+DELAY_COST: Final = 3
+"""that the smallest delay changed by more than half a period,"""
+LOSS_COST_MAX: Final = 2
+"""and that readings were lost just then, one each up to this: a step and a change of delay are as rare as one
+another, while losses are common and come in bursts."""
+LIKELY_COST_MAX: Final = STEP_COST + LOSS_COST_MAX
+"""One of the two, and losses."""
 
 
 class Suspect:
