@@ -124,26 +124,6 @@ def test_listening_sends_nothing() -> None:
     assert bench.frames == []
 
 
-def test_a_node_whose_sdo_channel_another_master_uses_is_left_alone() -> None:
-    bench = Bench([1, 5])
-    other = bench.segment.attach("other master", Listener())
-    upload = bytes.fromhex("4018100100000000")
-    for tenth in range(10):
-        bench.timeline.call_at(
-            Instant(bench.timeline.now + tenth * NS_PER_S // 10),
-            lambda _now: other.send(Frame(0x605, upload)),
-        )
-    scan = bench.scan()
-    bench.frames.clear()
-    scan.probe()
-    assert [frame for frame in bench.frames if frame.can_id == 0x605] == []
-    one, five = scan.found()
-    assert one.device_type == 0x00020192
-    assert five.device_type is None
-    assert "another master" in five.note
-    assert five.heard["SDO answer"] > 0
-
-
 def test_a_node_that_comes_after_another_master_has_asked_for_it_says_why_it_was_not_read() -> None:
     bench = Bench([1])
     other = bench.segment.attach("other master", Listener())
@@ -286,15 +266,6 @@ def test_a_device_that_refuses_or_is_gone_is_named() -> None:
     with pytest.raises(NoAnswer, match="serial 00000004h does not answer"):
         master.assign(LssAddress(*address[:3], 4), 9)
     assert master.any_unconfigured(), "the refused device was left in the configuration state"
-
-
-def test_nobody_to_find() -> None:
-    bench = Bench([1])
-    master = LssMaster(bench.network)
-    began = bench.timeline.now
-    assert not master.any_unconfigured()
-    assert list(master.search()) == []
-    assert bench.timeline.now - began < 400 * NS_PER_MS
 
 
 def test_a_drive_is_waited_for_while_it_boots() -> None:

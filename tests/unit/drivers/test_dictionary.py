@@ -54,14 +54,6 @@ def test_what_a_file_says_of_itself_its_device_and_its_node_is_read_by_key() -> 
         assert one.device.bit_rates_kbit_s == (rate,)
 
 
-def test_the_node_id_of_a_file_is_in_1_to_127() -> None:
-    for node_id, kept in ((0, None), (1, 1), (127, 127), (128, None)):
-        loaded = parse(f"{SOUND}[DeviceComissioning]\nNodeID={node_id}\n", None)
-        assert loaded.commissioning is not None
-        assert loaded.commissioning.node_id == kept
-        assert len(loaded.repairs) == (kept is None)
-
-
 def test_dummies_are_the_data_types_that_the_file_marks() -> None:
     """CiA 301 7.4.7: 1 to 7 can be mapped as placeholders."""
     marked = "".join(f"Dummy000{number}={number % 2}\n" for number in range(1, 10))
@@ -233,12 +225,6 @@ def test_cob_ids_and_mappings_in_digits_alone() -> None:
     assert value(loaded, 0x1A00, 1) == 0x60410010
 
 
-def test_an_empty_default_is_no_fault() -> None:
-    loaded = parse(SOUND.replace("0x00020192", ""))
-    assert loaded.repairs == ()
-    assert value(loaded, 0x1000) is None
-
-
 def test_comments_and_lower_case_are_no_faults() -> None:
     text = SOUND.replace("[1800sub1]", "; a comment\n# another\n[1800SUB01] ; a third").replace(
         "AccessType", "accesstype"
@@ -260,14 +246,6 @@ def test_a_text_may_hold_a_semicolon() -> None:
 def test_a_name_may_hold_a_semicolon() -> None:
     loaded = parse(SOUND.replace("Device type", "Device;type ; a comment"))
     assert loaded.dictionary[0x1000].name == "Device;type"
-
-
-def test_sub_objects_before_their_object_and_objects_before_file_info() -> None:
-    start = SOUND.index("[1800sub0]")
-    end = SOUND.index("[607D]")
-    loaded = parse(SOUND[start:end] + SOUND[:start] + SOUND[end:])
-    assert loaded.repairs == ()
-    assert value(loaded, 0x1800, 1) == 0x185
 
 
 def test_trailing_garbage_is_left_out() -> None:

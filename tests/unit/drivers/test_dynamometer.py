@@ -161,19 +161,6 @@ def test_a_set_point_goes_out_at_once_and_again_as_nobody_confirms_it(bench: Ben
     assert clock.now() == 2 * NS_PER_S
 
 
-def test_a_late_answer_is_never_taken_for_that_of_the_next_request(bench: Bench) -> None:
-    dynamometer, line, clock = bench
-    line.delay_ns = TIMEOUT + 5 * NS_PER_MS
-    line.answer = lambda command: b"S  1500T9.000R\r\n" if command == b"OD1\r\n" else b""
-    run(bench, 0.103)
-    line.delay_ns, line.answer = 10 * NS_PER_MS, healthy
-    run(bench, 0.3)
-    assert dynamometer.tally.late == 1
-    assert dynamometer.tally.unasked == 1
-    assert {reading.torque_nm for reading in dynamometer.take_readings()} == {0.6}
-    assert clock.now() > 0
-
-
 def test_spoilt_answers_are_counted_and_asked_for_again(bench: Bench) -> None:
     dynamometer, line, _ = bench
     answers = iter([b"S  15\r\n", b"\xff\xff\r\n", b"S  1500T0.600R\r\n", b"S  1500T0.6", b""] * 50)

@@ -12,15 +12,6 @@ def fitness(pdos: list[Pdo] | None = None, **how: object) -> Fitness:
     return assess(sheet(four_pdos() if pdos is None else pdos, **how), NODE, tuple(QUANTITY_OF_MODE))
 
 
-def test_a_complete_drive_serves_in_torque() -> None:
-    found = fitness()
-    assert found.serves
-    assert found.best is not None
-    assert found.best.mode is Mode.CYCLIC_SYNCHRONOUS_TORQUE
-    assert (found.profile, found.axes, found.modes_told_by) == (402, 1, "6502h")
-    assert found.identity.vendor == 0x123
-
-
 def test_identity_comes_from_the_identity_object_first() -> None:
     record = "[1018]\nParameterName=I\nObjectType=9\nSubNumber=3\n"
     record += sub(0x1018, 0, 5, "ro", "2") + sub(0x1018, 1, U32, "ro", "0x77") + sub(0x1018, 2, U32, "ro", "")
@@ -70,20 +61,6 @@ def test_obstacles_say_why(how: dict[str, object], telling: str) -> None:
     found = fitness(**how)  # type: ignore[arg-type]
     assert not found.serves
     assert any(telling in obstacle for obstacle in found.obstacles)
-
-
-@pytest.mark.parametrize("missing", [0x6061, 0x6064 + 1, 0x6077])
-def test_optional_objects_degrade_one_by_one(missing: int) -> None:
-    assert fitness(without=(missing,)).serves
-
-
-def test_a_mode_without_its_object_is_told_and_the_next_one_serves() -> None:
-    found = fitness(without=(0x6071,))
-    reasons = {each.mode: each.reason for each in found.usable}
-    assert reasons[Mode.CYCLIC_SYNCHRONOUS_TORQUE] == "6071h:00 is not in the dictionary"
-    assert found.best is not None
-    assert found.best.mode is Mode.CYCLIC_SYNCHRONOUS_VELOCITY
-    assert found.serves
 
 
 def test_no_standardised_profile_is_a_drive_by_its_statusword() -> None:

@@ -75,21 +75,6 @@ def test_the_limit_of_32_bits_is_found_to_a_hundred_thousandth(node: Node) -> No
     assert node.written() <= 25
 
 
-def test_the_data_sheet_spares_the_search(node: Node) -> None:
-    Bounded(node.bus, 100, 10_000)
-    granted = write_greatest(node.objects, SLOPE, "I", 50_000, "torque slope", most=10_000)
-    assert granted.held == 10_000
-    assert granted.notes == ["6087h:00 holds 10000, 50000 was asked for (torque slope): by its data sheet"]
-    assert node.written() == 1
-
-
-def test_what_is_taken_is_written_once_and_what_is_held_never(node: Node) -> None:
-    Bounded(node.bus, 100, 60_000)
-    for _ in range(2):
-        assert write_greatest(node.objects, SLOPE, "I", 50_000, "torque slope") == Granted(50_000, [])
-    assert node.written() == 1
-
-
 def test_a_drive_that_cuts_a_value_is_told_of(node: Node) -> None:
     servo = Bounded(node.bus, 100, 10_000)
     servo.cuts = True

@@ -11,7 +11,6 @@ from servobench.virtual_bus.frame import Frame
 from tests.hearing import Hearing
 from tests.unit.drivers.test_bus_scan import UNCONFIGURED, Bench
 
-SERIALS = [0x00000002, 0x00000003, 0x40000002, 0x80000001]
 Answerer = Callable[[bytes], bytes | None]
 
 
@@ -44,37 +43,11 @@ def test_one_device_that_answers_fast_scan_in_configuration_is_found_once() -> N
     assert bench.timeline.now - began < 15 * NS_PER_S
 
 
-def test_several_such_devices_are_all_found_and_left_as_they_were() -> None:
-    bench = yes_sayers(*SERIALS)
-    master = LssMaster(bench.network)
-    found = list(master.search())
-    assert [address.serial_number for address in found] == SERIALS
-    assert list(master.search()) == found
-
-
-def test_they_get_their_node_ids_one_after_another() -> None:
-    bench = yes_sayers(*SERIALS)
-    master = LssMaster(bench.network)
-    for node_id, address in enumerate(master.search(), start=9):
-        assert master.assign(address, node_id)
-    assert not master.any_unconfigured()
-    told = [bench.network.upload(node_id, 0x1018, 4) for node_id in range(9, 13)]
-    assert [int.from_bytes(serial, "little") for serial in told] == SERIALS
-
-
 def test_a_device_that_was_left_in_configuration_is_called_back_first() -> None:
     bench = yes_sayers(77)
     bench.network.link.send(0x7E5, b"\x04\x01".ljust(8, b"\0"))
     (address,) = LssMaster(bench.network).search()
     assert address.serial_number == 77
-
-
-@pytest.mark.parametrize("drop_every", [40, 67])
-def test_several_are_found_where_frames_are_lost(drop_every: int) -> None:
-    bench = Bench([], drop_every=drop_every)
-    for serial in SERIALS:
-        bench.add(UNCONFIGURED, serial)
-    assert [address.serial_number for address in list(LssMaster(bench.network).search())] == SERIALS
 
 
 def test_a_slave_that_says_yes_to_whatever_it_is_asked_is_no_device_of_identity_zero() -> None:

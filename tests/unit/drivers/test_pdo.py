@@ -126,14 +126,6 @@ def test_longest_frame(length: int, bits: int) -> None:
     assert frame_bits_max(length) == bits
 
 
-def test_bus_load_of_one_and_three_axes() -> None:
-    period = Duration(NS_PER_MS)
-    one = budget_of([PLAN], period, 1_000_000).load_percent
-    assert one == pytest.approx((55 + 135 + 135 + 3.4 + 95) / 10)
-    three = [mode_plan(node_id, PlanWish()) for node_id in (1, 2, 3)]
-    assert budget_of(three, period, 1_000_000).load_percent == pytest.approx((55 + 3 * 368.4) / 10)
-
-
 def test_a_pdo_of_more_than_eight_bytes_is_no_pdo() -> None:
     entries = (PdoEntry(0x6064, 0, "i"), PdoEntry(0x606C, 0, "i"), PdoEntry(0x6041, 0, "H"))
     with pytest.raises(ValueError, match="80 bits"):

@@ -1,13 +1,11 @@
 """PDO plans for drives of every kind of limitation."""
 
-from dataclasses import replace
-
 import pytest
 
 from servobench.drivers.canopen.pdo import PdoMap
 from servobench.drivers.canopen.pdo_budget import budget_of, content_of
 from servobench.drivers.cia402.pdo_planner import PlanImpossible, PlanResult, mode_plan, plan_pdos
-from servobench.drivers.cia402.pdo_plans import Features, PlanWish, features_of
+from servobench.drivers.cia402.pdo_plans import Features, PlanWish
 from servobench.drivers.cia402.profile import Mode
 from servobench.drivers.sheets.capability import capability_of
 from servobench.drivers.sheets.dictionary import parse_dictionary
@@ -52,34 +50,6 @@ def test_what_is_lost_is_told() -> None:
     assert plan(four_pdos(timers=False), also=CLOCK + DEMAND).notes == (unmeasured, with_sync, asked)
 
 
-def test_a_statusword_that_cannot_be_told_on_change_comes_with_every_sync() -> None:
-    both = CLOCK + DEMAND
-    assert shown(plan(four_pdos(timers=False), also=both))[:2] == [
-        "TPDO1 185h 1: 606Ch:00/32 1013h:00/32",
-        "TPDO2 285h 1: 6077h:00/16 6064h:00/32 6041h:00/16",
-    ]
-    wish = PlanWish(position_every_cycles=10)
-    assert shown(plan(four_pdos(timers=False), wish, also=both))[:2] == [
-        "TPDO1 185h 1: 606Ch:00/32 6041h:00/16 6061h:00/8",
-        "TPDO2 285h 10: 6077h:00/16 6064h:00/32 6074h:00/16",
-    ]
-
-
-def test_two_tpdos_are_enough_for_the_stamp() -> None:
-    pdos = [Pdo(0x1400), Pdo(0x1800), Pdo(0x1801)]
-    assert shown(plan(pdos, also=CLOCK + DEMAND))[:2] == [
-        "TPDO1 185h 1: 606Ch:00/32 1013h:00/32",
-        "TPDO2 285h 1: 6077h:00/16 6064h:00/32 6041h:00/16",
-    ]
-
-
-def test_a_pdo_that_cannot_follow_the_sync_takes_the_statusword() -> None:
-    pdos = [Pdo(0x1400), Pdo(0x1800, kind=255, kind_access="ro"), Pdo(0x1801), Pdo(0x1802)]
-    result = plan(pdos, also=CLOCK)
-    assert [line.split("h ")[0] for line in shown(result)[:3]] == ["TPDO2 285", "TPDO3 385", "TPDO1 185"]
-    assert features_of(result.plan) == Features(demand=False)
-
-
 def test_without_an_inhibit_time_a_chattering_statusword_is_told_of() -> None:
     text = sheet_text(four_pdos(), also=CLOCK + DEMAND)
     for number in range(4):
@@ -87,30 +57,6 @@ def test_without_an_inhibit_time_a_chattering_statusword_is_told_of() -> None:
     result = plan_pdos(capability_of(parse_dictionary(text.encode(), "x", NODE)), NODE, PlanWish())
     assert result.notes == ("TPDO3 has no inhibit time: a statusword that chatters fills the bus",)
     assert result.plan.tpdos[2].inhibit_time_100us == 0
-
-
-def test_a_coherent_plan_has_the_speed_last() -> None:
-    assert shown(plan(four_pdos(), PlanWish(coherent=True), also=CLOCK + DEMAND))[:2] == [
-        "TPDO1 185h 1: 6041h:00/16 6077h:00/16 6064h:00/32",
-        "TPDO2 285h 1: 606Ch:00/32 1013h:00/32",
-    ]
-
-
-def test_features_that_are_not_wanted_are_not_used() -> None:
-    wish = PlanWish(features=Features(stamp=False))
-    assert shown(plan(four_pdos(), wish, also=CLOCK + DEMAND))[0] == "TPDO1 185h 1: 606Ch:00/32"
-
-
-@pytest.mark.parametrize(
-    ("mode", "target"),
-    [
-        (Mode.PROFILE_VELOCITY, "60FFh:00/32"),
-        (Mode.PROFILE_POSITION, "607Ah:00/32"),
-        (Mode.PROFILE_TORQUE, "6071h:00/16"),
-    ],
-)
-def test_the_set_point_of_the_mode_is_mapped(mode: Mode, target: str) -> None:
-    assert shown(plan(four_pdos(), PlanWish(mode)))[-1] == f"RPDO1 205h 255: 6040h:00/16 {target}"
 
 
 def test_homing_needs_no_set_point() -> None:
@@ -125,23 +71,6 @@ def test_wishes_for_synchronous_commands_and_seldom_positions() -> None:
     assert lines[3].startswith("RPDO1 205h 1:")
 
 
-def test_few_entries_a_pdo_take_more_pdos() -> None:
-    assert shown(plan(four_pdos(entries=1))) == [
-        "TPDO1 185h 1: 606Ch:00/32",
-        "TPDO2 285h 1: 6077h:00/16",
-        "TPDO3 385h 1: 6064h:00/32",
-        "TPDO4 485h 255: 6041h:00/16",
-        "RPDO1 205h 255: 6040h:00/16",
-        "RPDO2 305h 255: 6071h:00/16",
-    ]
-
-
-def test_too_few_pdos_say_what_has_no_room() -> None:
-    pdos = [Pdo(0x1400), Pdo(0x1800, entries=2)]
-    with pytest.raises(PlanImpossible, match="6077h:00: the TPDOs have no room left"):
-        plan(pdos)
-
-
 def test_a_file_that_defines_too_few_entries_is_helped_by_its_limit() -> None:
     # 6041h, 606Ch and 6064h as INTEGER16 fit into one PDO, which has two entries in the file.
     small = variable(0x606C, 3, "ro") + variable(0x6064, 3, "ro")
@@ -154,36 +83,6 @@ def test_a_file_that_defines_too_few_entries_is_helped_by_its_limit() -> None:
     assert any("sub-index 0 allows" in note for note in result.notes)
 
 
-def test_the_count_shares_the_frame_of_the_speed_where_a_drive_can() -> None:
-    wish = PlanWish(features=Features(counted=True))
-    told = plan(four_pdos(), wish, also=CLOCK + DEMAND)
-    assert shown(told)[:2] == [
-        "TPDO1 185h 1: 606Ch:00/32 6064h:00/32",
-        "TPDO2 285h 1: 6077h:00/16 6074h:00/16",
-    ]
-    assert features_of(told.plan) == Features(stamp=False, counted=True)
-    single = plan([replace(pdo, entries=1) for pdo in four_pdos()], wish, also=CLOCK + DEMAND)
-    assert not features_of(single.plan).counted
-
-
-def test_fixed_mappings_are_taken_as_they_are() -> None:
-    fixed = {"writable": False, "entries": 1}
-    pdos = [
-        Pdo(0x1400, (CONTROL,), **fixed),  # type: ignore[arg-type]
-        Pdo(0x1401, (CONTROL, TARGET_TORQUE), **fixed),  # type: ignore[arg-type]
-        Pdo(0x1800, (STATUS,), **fixed),  # type: ignore[arg-type]
-        Pdo(0x1801, (STATUS, 0x20000018, 0x60780010), **fixed),  # type: ignore[arg-type]
-        Pdo(0x1802, (SPEED, POSITION), **fixed),  # type: ignore[arg-type]
-        Pdo(0x1803, (TORQUE, 0x00050008, STATUS), **fixed),  # type: ignore[arg-type]
-    ]
-    result = plan(pdos)
-    assert shown(result) == [
-        "TPDO3 385h 1: 606Ch:00/32 6064h:00/32",
-        "TPDO4 485h 1: 6077h:00/16 0005h:00/8 6041h:00/16",
-        "RPDO2 305h 255: 6040h:00/16 6071h:00/16",
-    ]
-
-
 def test_entries_that_nobody_reads_are_skipped_octets() -> None:
     pdos = [
         Pdo(0x1400, (CONTROL, TARGET_TORQUE), False),
@@ -194,27 +93,6 @@ def test_entries_that_nobody_reads_are_skipped_octets() -> None:
     tpdo = plan(pdos).plan.tpdos[0]
     assert [entry.code for entry in tpdo.entries] == ["H", "3s"]
     assert tpdo.codec().unpack(b"\x27\x06abc") == (0x627, b"abc")
-
-
-def test_a_mixed_drive_uses_both() -> None:
-    pdos = [
-        Pdo(0x1400),
-        Pdo(0x1800, (STATUS, TORQUE), False),
-        Pdo(0x1801),
-    ]
-    lines = shown(plan(pdos, unmapped=(0x6041, 0x6077)))
-    assert lines[0] == "TPDO1 185h 1: 6041h:00/16 6077h:00/16"
-    assert lines[1] == "TPDO2 285h 1: 606Ch:00/32 6064h:00/32"
-
-
-def test_a_fixed_mapping_without_what_is_needed() -> None:
-    pdos = [Pdo(0x1400, (CONTROL,), False), Pdo(0x1800, (STATUS,), False)]
-    with pytest.raises(PlanImpossible) as caught:
-        plan(pdos)
-    told = caught.value.evidence
-    assert "606Ch:00: the TPDOs have fixed mappings without it" in told
-    assert "6071h:00: the RPDOs have fixed mappings without it" in told
-    assert "6041h" not in told
 
 
 def test_bits_in_a_fixed_mapping_are_not_read() -> None:
@@ -232,11 +110,6 @@ def test_objects_that_may_not_be_mapped() -> None:
         plan(four_pdos(), unmapped=(0x606C,))
 
 
-def test_what_is_mapped_by_default_can_be_mapped_whatever_its_mark() -> None:
-    pdos = [Pdo(0x1400), Pdo(0x1800, (SPEED,)), Pdo(0x1801)]
-    assert "606Ch" in shown(plan(pdos, unmapped=(0x606C,)))[0]
-
-
 def test_marks_that_are_all_missing_say_nothing() -> None:
     everything = (0x6040, 0x6041, 0x6060, 0x6061, 0x6064, 0x606C, 0x6071, 0x6077, 0x607A, 0x60FF)
     assert len(shown(plan(four_pdos(), unmapped=everything))) == 4
@@ -250,13 +123,6 @@ def test_torque_degrades_to_current_and_to_nothing() -> None:
     result = plan(four_pdos(), without=(0x6077,))
     assert shown(result)[1].endswith(": 6064h:00/32")
     assert "readings carry no torque" in result.notes[0]
-
-
-def test_missing_objects_and_missing_pdos_are_named() -> None:
-    with pytest.raises(PlanImpossible, match="6064h:00 is not in the dictionary"):
-        plan(four_pdos(), without=(0x6064,))
-    with pytest.raises(PlanImpossible, match="6041h:00: there is no TPDO"):
-        plan([Pdo(0x1400)])
 
 
 def test_types_and_identifiers_that_cannot_be_changed_are_kept() -> None:

@@ -68,15 +68,6 @@ def test_an_answer_under_way_to_another_master_at_the_first_look_is_none_too_man
     assert told == []
 
 
-def test_a_node_that_answers_late_is_not_two(rig: Rig) -> None:
-    bus, servo, network = rig
-    servo.deaf_to_sdo = 1
-    network.upload(1, 0x1000)
-    bus.deliver(0x581, bytes.fromhex("4300100092010200"), NS_PER_MS)
-    read_repeatedly(network)
-    network.refuse_two(1)
-
-
 @pytest.mark.parametrize("late_ms", [250, 2000])
 def test_answers_to_repeated_requests_are_owed_however_late(rig: Rig, late_ms: int) -> None:
     """Each request is answered once, the repeated ones too, by a node that is slow for a while."""

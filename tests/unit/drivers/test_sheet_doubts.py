@@ -17,11 +17,6 @@ def record(index: int, count: int, access: str, *subs: int) -> str:
     return head + sub(index, 0, U8, access, str(count)) + "".join(sub(index, n, U32, "rw", "") for n in subs)
 
 
-def test_a_sound_sheet_leaves_no_doubt() -> None:
-    sound = Pdo(0x1A00 - 0x200, (0x60410010, 0x606C0020))
-    assert told([sound], record(0x1003, 0, "rw", 1, 2) + record(0x2000, 2, "ro", 1, 2)) == ""
-
-
 @pytest.mark.parametrize(
     ("word", "telling"),
     [

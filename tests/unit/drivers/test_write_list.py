@@ -192,13 +192,6 @@ def test_no_command_writes_an_object_of_a_maker_to_a_drive_of_any_make() -> None
 # ---- lists ------------------------------------------------------------------------------------------------
 
 
-def test_two_lists_are_joined_without_doubles_and_keep_the_first_name() -> None:
-    joined = LIST | CONTROL | CONTROL
-    assert [each.objects for each in joined] == ["6040h:00", "6072h:00"]
-    assert joined.name == "a test"
-    assert joined.named("another").writes == joined.writes
-
-
 @pytest.mark.parametrize(
     ("indices", "subs", "text"),
     [
