@@ -29,6 +29,8 @@ def pid_figures(pid: SpeedPid) -> dict[str, Any]:
     """Return the figures for ``--json``."""
     figures = asdict(pid)
     figures |= figures.pop("margins")
+    if pid.resonance_hz is None:
+        del figures["resonance_hz"]
     return {key: finite(value) for key, value in figures.items()}
 
 
