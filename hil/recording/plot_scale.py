@@ -70,15 +70,21 @@ def around_zero(reach: float) -> Range:
 
 
 def fitted(ranges: Sequence[Range | None], room_px: float) -> list[Range | None]:
-    """Return the ranges of plots one below the other so that all have room for labels: those of most ticks
-    reach to the next power of ten where it is not there for them."""
+    """Return the ranges of plots one below the other so that all have room for labels: where there is none,
+    one reaches to the next power of ten, that of fewest ticks with which all fit."""
     chosen = list(ranges)
-    for place in sorted(range(len(chosen)), key=lambda each: -_ticks(chosen[each])):
-        low_high = chosen[place]
-        if low_high is None or _ticks(low_high) <= _MANTISSA_MAX:
+    while (missing_px := sum(map(_needed_px, chosen)) - room_px) > 0.0:
+        coarser = {
+            place: _coarser(each)
+            for place, each in enumerate(chosen)
+            if each is not None and _ticks(each) > _MANTISSA_MAX
+        }
+        saved_px = {place: _needed_px(chosen[place]) - _needed_px(each) for place, each in coarser.items()}
+        if not saved_px:
             break
-        if sum(map(_needed_px, chosen)) > room_px:
-            chosen[place] = _coarser(low_high)
+        enough = [place for place, px in saved_px.items() if px >= missing_px]
+        place = min(enough, key=saved_px.__getitem__) if enough else max(saved_px, key=saved_px.__getitem__)
+        chosen[place] = coarser[place]
     return chosen
 
 

@@ -26,11 +26,15 @@ def test_each_plot_has_room_for_its_labels_and_the_first_gets_the_rest() -> None
     assert heights[1:] == pytest.approx([TITLE_PX + 2.1 * LABEL_PX, TITLE_PX + 2 * LABEL_PX])
 
 
-def test_where_not_all_find_room_that_of_most_ticks_reaches_to_the_next_power_of_ten() -> None:
+def test_where_not_all_find_room_that_of_fewest_ticks_that_is_enough_reaches_to_the_next_power_of_ten() -> (
+    None
+):
     torque, speed, delay = (-6500.0, 6500.0), (-100.0, 2600.0), (-10.0, 575.0)
     room_px = 3 * TITLE_PX + 14 * LABEL_PX
     shown = fitted([speed, torque, delay], room_px)
     assert shown == [speed, pytest.approx((-6500.0, 12000.0)), delay]
     assert sum(plot_heights(shown, room_px, (0.0, 0.0, 0.0))) <= room_px
     assert fitted([speed, torque, delay], room_px + 10 * LABEL_PX) == [speed, torque, delay]
+    little_px = sum(plot_heights([speed, torque, delay], 0.0, (0.0,) * 3)) - LABEL_PX
+    assert fitted([speed, torque, delay], little_px) == [speed, torque, pytest.approx((-10.0, 1200.0))]
     assert fitted([(-8700.0, 6500.0), None], 10.0) == [pytest.approx((-12000.0, 6500.0)), None]
