@@ -13,8 +13,7 @@ from itertools import combinations
 from typing import Any, Final, NamedTuple
 
 from servobench.design.errors import DesignError
-from servobench.design.flux_constants import CONVENTIONS, kind_of
-from servobench.design.motor import PmsmParameters, Transform
+from servobench.design.motor import CONVENTIONS, PmsmParameters, Transform, kind_of
 from servobench.design.sheet_figures import FIELDS, Contradiction, SheetFigures
 
 COPPER_C = 235.0

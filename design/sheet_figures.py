@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Final, NamedTuple
 
-from servobench.design.flux_constants import (
+from servobench.design.motor import (
     AGREEING,
     CONVENTIONS,
     agree_within,

@@ -17,8 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, NoReturn
 
-from servobench.drivers.errors import BadInput
-from servobench.drivers.printable import printable
+from servobench.drivers.errors import BadInput, printable
 
 SIZE_MAX_BYTES = 1_000_000
 """Far beyond any bench file; the parser takes less than a second for as much."""

@@ -1,15 +1,16 @@
-"""The errors of the bench: one root, and two branches that must not be confused.
+"""The errors of the bench: one root, and two branches that must not be confused; text safe for a terminal.
 
 ``BadInput``: we, or the user, asked for something wrong (exit status 2).
 ``PeerFault``: the bus or the drive did something wrong, or nothing (exit status 3).
 
-A failure carries its evidence, and its message says what to do next.
+A failure carries its evidence, and its message says what to do next. :func:`printable` escapes what
+foreign text would do to the terminal that shows it.
 """
 
+import unicodedata
 from dataclasses import dataclass
 from typing import Any
 
-from servobench.drivers.printable import printable
 from servobench.drivers.timebase import Instant
 
 PART_SHOWN_MAX = 400
@@ -105,3 +106,19 @@ class TransferAborted(PeerFault):
 
 class LimitExceeded(PeerFault):
     """A host safety limit was crossed and the run was stopped."""
+
+
+_ACTING = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
+"""Unicode categories: control, format (direction of writing among them), surrogate, private, unassigned, and
+the separators of lines and paragraphs."""
+
+
+def printable(text: str) -> str:
+    """Return ``text`` with every character that a terminal would obey, or could not show, as ``\x1b``."""
+    if text.isprintable():
+        return text
+    return "".join(_escaped(sign) if unicodedata.category(sign) in _ACTING else sign for sign in text)
+
+
+def _escaped(sign: str) -> str:
+    return sign.encode("unicode_escape").decode("ascii")

@@ -10,9 +10,9 @@ import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
-from servobench.design.delay.speed_loop import peak_floor_rad_s, speed_model
+from servobench.design.delay.delay_loop import peak_floor_rad_s, speed_model
 from servobench.design.motor import PmsmParameters
-from servobench.design.speed.conditioned import Conditioned
+from servobench.design.speed.hinf_loop import Conditioned
 from servobench.design.speed.predictor_design import PredictorRequest
 from servobench.design.speed.speed_design import least_gain
 from servobench.design.speed.speed_pid import first_order_current_loop, pid_by_rule

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from servobench.design.delay.speed_loop import speed_model
+from servobench.design.delay.delay_loop import speed_model
 from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
 from servobench.design.speed.speed_design import least_gain
 from servobench.design.speed.speed_robustness import noise_gain

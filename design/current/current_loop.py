@@ -20,8 +20,7 @@ import scipy.linalg
 
 from servobench.design.errors import InfeasibleDesign
 from servobench.design.hinf.margins import Margins, margins
-from servobench.design.hinf.mixed_sensitivity import Weights, mixed_sensitivity
-from servobench.design.hinf.plant import GeneralisedPlant
+from servobench.design.hinf.mixed_sensitivity import GeneralisedPlant, Weights, mixed_sensitivity
 from servobench.design.hinf.synthesis import gamma_min, synthesise, verified_norm
 from servobench.design.motor import PmsmParameters
 from servobench.design.statespace import (

@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from servobench.design.delay.delay_loop import Array, DelayLoop
+from servobench.design.delay.delay_loop import Array, DelayLoop, SpeedModel
 from servobench.design.delay.delay_norm import hinf_norm, is_stable, largest_stable_delay_s, rough_norm
 from servobench.design.delay.lmi import (
     LmiProblem,
@@ -36,7 +36,6 @@ from servobench.design.delay.lmi import (
     smallest_eigenvalues,
     solve,
 )
-from servobench.design.delay.speed_loop import SpeedModel
 from servobench.design.errors import NoSolution
 
 STRICT = 1e-8

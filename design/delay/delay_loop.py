@@ -9,12 +9,26 @@ a ratio of quasi-polynomials, which are found once, without forming matrix inver
 
 Time is counted in ``time_unit_s`` inside the quasi-polynomials, so that their coefficients are of
 like size whatever the plant's rates.
+
+The speed loop of a field-oriented PMSM in error coordinates, [Ling2012] (2.5), (2.6) and (2.15).
+
+    x = [i_q* - i_q, omega* - omega]        x' = A x + B1 u + B2 d        z = C x = e
+    A = [-a, 0; K_t/J, -B_0/J]   B1 = [a, 0]'   B2 = [0, 1/J]'   u = K x(t - eta)
+
+a is the rate of the drive's current loop, of first order: its PI cancels the pole of the winding. The
+paper has a drive without one, whose current follows the voltage with R/L. K_t is the torque per q-axis
+ampere at i_d = 0. With integral action the state is [e_q, e, integral of e] and
+K = [K1 (A/A), K2 (A s/rad), K3 (A/rad)].
 """
 
+import math
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from servobench.design.motor import PmsmParameters
 
 Array = NDArray[np.float64]
 
@@ -120,3 +134,143 @@ def _time_unit_s(determinant: Array, delay_s: float) -> float:
     n = determinant.shape[1] - 1
     rate = float(np.max(np.abs(determinant[:, :n]) ** (1.0 / np.arange(n, 0.0, -1.0)), initial=0.0))
     return max(1.0 / rate if rate > 0.0 else 1.0, delay_s)
+
+
+RAD_S_PER_RPM = math.tau / 60.0
+
+
+class Units(Enum):
+    """Conversion of a demand in percent of the speed into a gain of the model, whose speed is in rad/s."""
+
+    SI = "si"
+    """The speed is in rad/s throughout."""
+    PUBLISHED = "published"
+    """[Ling2012] (5.1): the gain is worked out in r/min per N m and then used as rad/s per N m."""
+
+
+class Feedback(Enum):
+    """States that the gain may use."""
+
+    FULL = "full"
+    SPEED = "speed"
+    """Speed only, K1 = 0 (and its integral, where there is one)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpeedModel:
+    """The open loop above: A (n, n), B1, B2, C (n,); n = 2, or 3 with the integral of the speed error."""
+
+    A: Array
+    B1: Array
+    B2: Array
+    C: Array
+    state_scale: Array
+    """Size of each state at a speed error of 1 rad/s, for scaling only."""
+
+    @property
+    def has_integral(self) -> bool:
+        """True if the integral of the speed error is a state."""
+        return len(self.A) == 3
+
+    def loop(self, K: ArrayLike, delay_s: float) -> DelayLoop:
+        """Return the loop closed by u = K x(t - delay), from load torque (N m) to speed error (rad/s)."""
+        return DelayLoop(self.A, self.B1, np.asarray(K, dtype=float), self.B2, self.C, delay_s)
+
+    def free_gains(self, feedback: Feedback) -> list[int]:
+        """Return the indices of the entries of K that a design chooses; K3 follows K2 by the integral
+        time."""
+        return [0, 1] if feedback is Feedback.FULL else [1]
+
+    def with_entries(self, K: Array, free: ArrayLike, entries: ArrayLike) -> Array:
+        """Return K with other ``entries`` at the indices ``free``, its integral time K2/K3 unchanged."""
+        changed = K.copy()
+        changed[np.asarray(free)] = entries
+        if self.has_integral:
+            changed[2] = K[2] * changed[1] / K[1]
+        return np.asarray(changed)
+
+    @property
+    def without_integral(self) -> "SpeedModel":
+        """The model of the two states of [Ling2012] alone."""
+        return SpeedModel(self.A[:2, :2], self.B1[:2], self.B2[:2], self.C[:2], self.state_scale[:2])
+
+    def integral_time_s(self, delay_s: float) -> float:
+        """Return the default integral time K2/K3 of a design.
+
+        The norm alone would make the integral vanish: it only demands small errors, at whatever frequency.
+        Four times the lags of the loop, its delay and its current loop, is the ratio of the symmetric
+        optimum.
+        """
+        return 4.0 * (delay_s - 1.0 / float(self.A[0, 0]))
+
+
+def current_rate_rad_s(motor: PmsmParameters, current_bandwidth_hz: float | None) -> float:
+    """Return a: the rate of a current loop of that bandwidth; None: of the winding alone, R/L, as in
+    [Ling2012]."""
+    if current_bandwidth_hz is None:
+        return motor.resistance_ohm / motor.inductance_q_h
+    return math.tau * current_bandwidth_hz
+
+
+def speed_model(
+    motor: PmsmParameters, integral: bool = False, current_bandwidth_hz: float | None = None
+) -> SpeedModel:
+    """Return the model of ``motor``, with the integral of the speed error as third state if ``integral``.
+
+    ``current_bandwidth_hz``: bandwidth of the drive's current loop; None: the winding's own, R/L, as in
+    [Ling2012].
+    """
+    return model_of(
+        current_rate_rad_s(motor, current_bandwidth_hz),
+        motor.torque_constant_nm_a,
+        motor.inertia_kg_m2,
+        motor.viscous_friction_nm_s,
+        integral=integral,
+    )
+
+
+def model_of(
+    rate_rad_s: float,
+    torque_constant_nm_a: float,
+    inertia_kg_m2: float,
+    viscous_friction_nm_s: float,
+    *,
+    integral: bool,
+) -> SpeedModel:
+    """Return the model of these: a, K_t, J and B_0."""
+    J = inertia_kg_m2
+    A = np.array([[-rate_rad_s, 0.0], [torque_constant_nm_a / J, -viscous_friction_nm_s / J]])
+    B1, B2, C = np.array([rate_rad_s, 0.0]), np.array([0.0, 1.0 / J]), np.array([0.0, 1.0])
+    scale = np.array([0.05, 1.0])
+    if integral:
+        A = np.block([[A, np.zeros((2, 1))], [np.array([[0.0, 1.0, 0.0]])]])
+        B1, B2, C = (np.append(v, 0.0) for v in (B1, B2, C))
+        scale = np.append(scale, 0.05)
+    return SpeedModel(A, B1, B2, C, scale)
+
+
+def gain_for_error(
+    error_percent: float, load_nm: float, speed_rad_s: float, units: Units = Units.SI
+) -> float:
+    """Return the gain, rad/s per N m, that keeps the error of ``load_nm`` within ``error_percent`` of the
+    speed.
+
+    [Ling2012] Definition 3.4 with ``load_nm`` the part of the nominal load that disturbs.
+    """
+    gain = error_percent / 100.0 * speed_rad_s / load_nm
+    return gain if units is Units.SI else gain / RAD_S_PER_RPM
+
+
+def percent_of_speed(gain: float, load_nm: float, speed_rad_s: float) -> float:
+    """Invert :func:`gain_for_error`."""
+    return gain / gain_for_error(1.0, load_nm, speed_rad_s)
+
+
+def peak_floor_rad_s(motor: PmsmParameters, delay_s: float) -> float:
+    """Return the least peak speed deviation after a load step of 1 N m with any controller, rad/s per N m.
+
+    Nothing acts before the delay has passed: until then inertia and friction alone meet the load,
+    J omega' = -B_0 omega - 1.
+    """
+    B, J = motor.viscous_friction_nm_s, motor.inertia_kg_m2
+    return delay_s / J if B == 0.0 else -math.expm1(-B * delay_s / J) / B

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from servobench.design.hinf.plant import NormalPlant
+from servobench.design.hinf.mixed_sensitivity import NormalPlant
 from servobench.design.hinf.riccati import LongArray, NoRiccatiSolution, RiccatiSolution, stabilising_solution
 from servobench.design.statespace import Array
 

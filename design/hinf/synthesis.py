@@ -24,7 +24,7 @@ from servobench.design.hinf.feasibility import (
     inverse,
     problem_of,
 )
-from servobench.design.hinf.plant import GeneralisedPlant, NormalPlant, normal_form
+from servobench.design.hinf.mixed_sensitivity import GeneralisedPlant, NormalPlant, normal_form
 from servobench.design.hinf.system_norm import hinf_norm, norm_is_below
 from servobench.design.statespace import Array, ComplexArray, StateSpace, connect, lower_lft
 

@@ -11,11 +11,10 @@ from typing import Any, TypeVar
 import numpy as np
 
 from servobench.design.delay.certificate import certified_delay_s, certified_gain
-from servobench.design.delay.delay_loop import Array, DelayLoop
-from servobench.design.delay.delay_norm import hinf_norm, largest_stable_delay_s
-from servobench.design.delay.delay_response import DelayResponse, respond, step_peak
-from servobench.design.delay.speed_loop import (
+from servobench.design.delay.delay_loop import (
     RAD_S_PER_RPM,
+    Array,
+    DelayLoop,
     Feedback,
     SpeedModel,
     Units,
@@ -23,6 +22,8 @@ from servobench.design.delay.speed_loop import (
     peak_floor_rad_s,
     speed_model,
 )
+from servobench.design.delay.delay_norm import hinf_norm, largest_stable_delay_s
+from servobench.design.delay.delay_response import DelayResponse, respond, step_peak
 from servobench.design.errors import DesignError
 from servobench.design.motor import PmsmParameters, Transform
 from servobench.design.papers.as_printed import theorem_3_3

@@ -10,9 +10,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from servobench.design.delay.delay_loop import Array
+from servobench.design.delay.delay_loop import Array, SpeedModel
 from servobench.design.delay.delay_norm import norm_between
-from servobench.design.delay.speed_loop import SpeedModel
 from servobench.design.errors import NoSolution
 from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork
 from servobench.design.sampled.loss_patterns import Pattern, pattern_gains, pattern_of

@@ -13,6 +13,18 @@ arrives after a newer one is dropped. The strategy decides which sample is appli
 The state during a period is xi = [x, w, v_0 .. v_m]: w the input that is held, v_j = K x of the sample
 that was taken j periods ago, as far back as one may still begin to act. Every step is a chain of two
 operations: a jump xi -> J xi, and a flow of some length with u = w.
+
+Periods of a loop under a load, which is one more entry, the last, of their state.
+
+The loop of a controller with its own states, whose samples may be lost: linear, from sample to sample.
+
+    xi = [x, w | states of the controller and commands on their way]
+
+Each command acts a constant delay after its sample was due, whether the sample came or not: the controller
+goes on with what it has. The effect of a period depends on whether its sample came, and on how many before it
+were lost, as a filter's gain may follow them. Such a gain may also lie anywhere in a hull: the loop then has
+variants, one for each corner, and since the jump at a sample is affine in the gain, a convex function that
+falls along every variant falls along all between them.
 """
 
 import math
@@ -22,10 +34,10 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
+import scipy.linalg
 from scipy.linalg import expm
 
-from servobench.design.delay.delay_loop import Array
-from servobench.design.delay.speed_loop import SpeedModel
+from servobench.design.delay.delay_loop import Array, SpeedModel
 from servobench.design.errors import UnsuitableNetwork
 
 _WHOLE = 1e-9
@@ -255,3 +267,104 @@ def decay_of(M: Array, time_s: float) -> float:
     """Return the decay rate of xi if M, over ``time_s``, is repeated for ever, 1/s; inf for a nilpotent M."""
     radius = float(np.max(np.abs(np.linalg.eigvals(M))))
     return math.inf if radius == 0.0 else -math.log(radius) / time_s
+
+
+class LoadedPeriods:
+    """Periods of ``loop`` under a load; errors at ``within`` instants of each."""
+
+    def __init__(self, loop: HeldInput, period_s: float, within: int) -> None:
+        self._loop, self._period_s, self._within = loop, period_s, within
+        model, n = self._loop.model, len(self._loop.model.A)
+        self._rates = np.zeros((n + 2, n + 2))  # of [x, u, load]
+        self._rates[:n, :n], self._rates[:n, n], self._rates[:n, n + 1] = model.A, model.B1, model.B2
+        self._places = [*range(n + 1), self._loop.size]
+        self._look = np.zeros(self._loop.size + 1)
+        self._look[:n] = math.copysign(1.0, model.C @ model.B2) * model.C
+        self._flows: dict[float, Array] = {}
+
+    def begin(self) -> tuple[Array, Array]:
+        """Return the state a period after the load came, from rest, and the errors until then."""
+        whole, looks = self.period([])
+        return whole[:, -1], looks[:, -1]
+
+    def period(self, chain: Sequence[Operation]) -> tuple[Array, Array]:
+        """Return a period's map (N, N), and the errors within it (within, N)."""
+        at_s, total = 0.0, np.eye(len(self._look))
+        looks: list[Array] = []
+        whole_s, tick_s = self._period_s * (1.0 + 1e-9), self._period_s / self._within
+        for operation in (*chain, None):
+            if isinstance(operation, Jump):
+                total[:-1] = operation.J @ total[:-1]
+                continue
+            length_s = self._period_s - at_s if operation is None else operation.length_s
+            while (next_s := tick_s * (len(looks) + 1)) <= min(at_s + length_s, whole_s):
+                looks.append(self._look @ self.flow(next_s - at_s) @ total)
+            total, at_s = self.flow(length_s) @ total, at_s + length_s
+        looks += [self._look @ total] * (self._within - len(looks))
+        return total, np.array(looks)
+
+    def flow(self, length_s: float) -> Array:
+        """Return what passes in ``length_s``, (N, N)."""
+        known = self._flows.get(length_s)
+        if known is None:
+            known = np.eye(len(self._look))
+            known[np.ix_(self._places, self._places)] = scipy.linalg.expm(self._rates * length_s)
+            self._flows[length_s] = known
+        return known
+
+
+Period = tuple[Operation, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LossyPeriods:
+    """Possible periods: chains of operations on xi."""
+
+    lost: Period
+    came: tuple[Period, ...]
+    """After 0, 1 .. losses in a row."""
+    corners: tuple[tuple[Period, ...], ...]
+    """The same for each corner of the hull of its gain."""
+
+    def ordered(self, order: Sequence[int]) -> "LossyPeriods":
+        """Return the same with the entries of xi in another order."""
+        return LossyPeriods(
+            _ordered(self.lost, order),
+            tuple(_ordered(each, order) for each in self.came),
+            tuple(tuple(_ordered(each, order) for each in corners) for corners in self.corners),
+        )
+
+
+class LossyLoop(SwitchedLoop):
+    """``periods`` of ``model``; as many losses in a row as ``periods`` knows of."""
+
+    def __init__(
+        self, model: SpeedModel, period_s: float, delay_s: float, periods: LossyPeriods, kept: int
+    ) -> None:
+        first = periods.lost[0]
+        assert isinstance(first, Jump)
+        losses = len(periods.came) - 1
+        network = SampledNetwork(Strategy.STAMP, period_s, losses, delay_s, delay_s)
+        super().__init__(model, network, len(first.J), kept)
+        self._periods = periods
+
+    def chain(self, step: PeriodStep) -> list[Operation]:
+        return list(self._periods.came[step.source] if step.switches else self._periods.lost)
+
+    def variants(self, step: PeriodStep) -> list[list[Operation]]:
+        if not step.switches:
+            return [self.chain(step)]
+        return [list(each) for each in self._periods.corners[step.source]]
+
+
+def _ordered(period: Period, order: Sequence[int]) -> Period:
+    rows = np.ix_(order, order)
+    return tuple(Jump(each.J[rows]) if isinstance(each, Jump) else each for each in period)
+
+
+def with_entry(J: Array, row: Array) -> Array:
+    """Return J of xi with one more entry at its end, which becomes ``row`` (size + 1,) times xi."""
+    larger = np.zeros((len(J) + 1, len(J) + 1))
+    larger[:-1, :-1] = J
+    larger[-1] = row
+    return larger

@@ -7,6 +7,20 @@ Second moments of xi, one matrix for each mode, follow a linear map from period 
 decides whether the loop is stable in mean square, and how fast (Costa, Fragoso, Marques, Discrete-Time Markov
 Jump Linear Systems, 2005, ch. 3). The load is a further, constant entry of xi: so means and variances after a
 step of it are exact.
+
+The probability that the error after a load step exceeds a threshold at any time, from both sides.
+
+Sequences of outcomes branch from period to period, each with its probability and its own error. One that has
+exceeded the threshold counts whole. Those that can still add most are followed, the others closed by
+Chebyshev's inequality, summed over all later instants: on average the squares of the errors to come add up to
+xi' V xi, and no threshold c is exceeded with more than that over c^2. What is exceeded for certain, and that
+with all that is closed, are the two ends.
+
+Losses as a network makes them at random: independent, or in bursts; on the way to the host and back.
+
+A link is in a good or in a bad state, which moves before each frame; each state loses frames with its own
+probability (Gilbert 1960, Elliott 1963). Both links together are a chain of up to four hidden states. A
+period's outcome tells which of its two frames were lost.
 """
 
 import math
@@ -18,9 +32,65 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
 
 from servobench.design.delay.delay_loop import Array
-from servobench.design.sampled.held_loop import HeldInput, Operation
-from servobench.design.sampled.loaded_periods import LoadedPeriods
-from servobench.design.sampled.random_losses import Fates, Outcome, stationary
+from servobench.design.sampled.held_loop import HeldInput, LoadedPeriods, Operation
+
+
+class LossyLink(NamedTuple):
+    """Losses on one link, each figure a probability; independent ones have ``loss_good`` alone."""
+
+    p_good_to_bad: float = 0.0
+    p_bad_to_good: float = 1.0
+    loss_bad: float = 1.0
+    loss_good: float = 0.0
+
+    @property
+    def loss(self) -> float:
+        """Share of lost frames in the long run."""
+        came, lost = self.outcomes()
+        at = stationary(came + lost)
+        return float((at @ lost).sum())
+
+    def outcomes(self) -> Array:
+        """Return (2, m, m) probabilities to move from state to state and have the frame come, or be lost."""
+        if self.p_good_to_bad == 0.0:
+            return np.array([[[1.0 - self.loss_good]], [[self.loss_good]]])
+        up, down = self.p_good_to_bad, self.p_bad_to_good
+        moves = np.array([[1.0 - up, up], [down, 1.0 - down]])
+        lost = np.array([self.loss_good, self.loss_bad])
+        return np.array([moves * (1.0 - lost), moves * lost])
+
+
+class Outcome(NamedTuple):
+    """Frames of one period that were lost."""
+
+    reading: bool
+    command: bool
+
+
+class Fates(NamedTuple):
+    """Outcomes that have a probability, and for each of them (m, m) from hidden state to hidden state."""
+
+    outcomes: tuple[Outcome, ...]
+    moves: Array
+    """(outcomes, m, m)."""
+
+
+def fates_of(readings: LossyLink, commands: LossyLink) -> Fates:
+    """Return those of two links that know nothing of one another."""
+    both = {
+        Outcome(bool(i), bool(j)): np.kron(reading, command)
+        for i, reading in enumerate(readings.outcomes())
+        for j, command in enumerate(commands.outcomes())
+    }
+    possible = {outcome: moves for outcome, moves in both.items() if moves.any()}
+    return Fates(tuple(possible), np.array(list(possible.values())))
+
+
+def stationary(moves: Array) -> Array:
+    """Return the (m,) distribution that ``moves`` (m, m), rows from, leaves as it is."""
+    one = np.ones(len(moves))
+    return np.asarray(np.linalg.solve(np.eye(len(moves)) - moves.T + 1.0, one))
+
 
 WITHIN = 16
 """Instants of a period at which the error is evaluated: with four times as many a peak rises by 0.1 %."""
@@ -207,3 +277,79 @@ def _radius(moved: LinearOperator, first: Array) -> float:
             grown = float(np.abs(X).max())
             X = X / grown
         return grown
+
+
+_PATHS = 8192
+"""Sequences that are followed at once."""
+_SHARE, _OPEN = 1e-4, 1e-7
+"""What may be closed in a period, of the probability found so far, and beside it."""
+_EXCEEDANCE_PERIODS_MAX = 5000
+
+
+class Between(NamedTuple):
+    """Bounds of a probability."""
+
+    low: float
+    high: float
+
+
+def exceedance(loop: JumpLoop, threshold: float, squares_to_come: Array | None) -> Between:
+    """Bound the probability that the error exceeds ``threshold``, rad/s per N m, at any of the instants.
+
+    ``squares_to_come``: of :meth:`JumpLoop.squares_to_come`; None for a loop that does not decay in mean
+    square.
+    """
+    room = threshold - abs(loop.error_at_rest)
+    if room <= 0.0 or np.abs(loop.at_first).max() > threshold:
+        return Between(1.0, 1.0)
+    memories = np.flatnonzero(loop.start.sum(axis=1) > 0.0)
+    weights = loop.start[memories]
+    states = np.repeat(loop.begun[None], len(memories), axis=0)
+    exceeded = closed = 0.0
+    for _ in range(_EXCEEDANCE_PERIODS_MAX):
+        parts = []
+        for memory in np.unique(memories):
+            here = memories == memory
+            for outcome, moves in enumerate(loop.fates.moves):
+                errors = states[here] @ loop.looks[memory, outcome].T
+                after = weights[here] @ moves
+                beyond = np.abs(errors).max(axis=1) > threshold
+                exceeded += float(after[beyond].sum())
+                kept = ~beyond & (after.sum(axis=1) > 0.0)
+                moved = states[here][kept] @ loop.maps[memory, outcome].T
+                parts.append((moved, np.full(len(moved), loop.following[memory, outcome]), after[kept]))
+        states, memories, weights = (np.concatenate(each) for each in zip(*parts, strict=True))
+        most = _most(loop, states, memories, weights, squares_to_come, room)
+        order = np.argsort(-most, kind="stable")
+        # of the smallest, and of those beyond the limit
+        few = np.cumsum(most[order[::-1]])[::-1] <= _SHARE * exceeded + _OPEN
+        few[_PATHS:] = True
+        closed += float(most[order[few]].sum())
+        order = order[~few]
+        if not len(order):
+            break
+        states, memories, weights = states[order], memories[order], weights[order]
+    else:
+        closed += float(most.sum())
+    return Between(exceeded, min(1.0, exceeded + closed))
+
+
+def _most(
+    loop: JumpLoop,
+    states: Array,
+    memories: NDArray[np.intp],
+    weights: Array,
+    squares_to_come: Array | None,
+    room: float,
+) -> Array:
+    """Return (paths,) the largest probability of each that it exceeds yet."""
+    most = np.asarray(weights.sum(axis=1))
+    if squares_to_come is None:
+        return most
+    apart = states - loop.rest
+    for memory in np.unique(memories):
+        here = memories == memory
+        for hidden, V in enumerate(squares_to_come[memory]):
+            to_come = ((apart[here] @ V) * apart[here]).sum(axis=1) / room**2
+            most[here] -= weights[here, hidden] * np.maximum(0.0, 1.0 - to_come)
+    return most

@@ -12,9 +12,8 @@ import numpy as np
 from servobench.design.delay.delay_loop import Array
 from servobench.design.errors import NoSolution
 from servobench.design.sampled.falling_norms import NormedEdge, left_by
-from servobench.design.sampled.jump_loop import Remembering
+from servobench.design.sampled.jump_loop import Outcome, Remembering
 from servobench.design.sampled.loss_peak import NARROWEST, Move, parts_of, walked
-from servobench.design.sampled.random_losses import Outcome
 from servobench.design.sampled.stepped_load import LoadedPeriod, Shafts, SteppedLoad
 from servobench.design.sampled.varying_delay import GRIDS, DelayRange
 from servobench.design.sampled.walk_decay import (

@@ -3,7 +3,7 @@ of a range.
 
 A node is what the controller remembers, and how many readings and commands in a row have just been lost, at
 most so many of each; an edge is a period. The walks are searched best first
-(:mod:`servobench.design.sampled.peak_tree`), those of a part of the range at once.
+(:mod:`servobench.design.sampled.peak_steps`), those of a part of the range at once.
 """
 
 import itertools
@@ -15,10 +15,8 @@ import numpy as np
 
 from servobench.design.errors import NoSolution
 from servobench.design.sampled.falling_norms import Norms
-from servobench.design.sampled.jump_loop import Remembering
-from servobench.design.sampled.peak_steps import PeakBound
-from servobench.design.sampled.peak_tree import Leaves, bounded_peak, joined
-from servobench.design.sampled.random_losses import Outcome
+from servobench.design.sampled.jump_loop import Outcome, Remembering
+from servobench.design.sampled.peak_steps import Leaves, PeakBound, bounded_peak, joined
 from servobench.design.sampled.stepped_load import LoadedPeriod, NormedWalks, Shafts, SteppedLoad
 from servobench.design.sampled.varying_delay import GRIDS, DelayRange
 

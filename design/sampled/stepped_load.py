@@ -13,14 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from servobench.design.delay.delay_loop import Array
-from servobench.design.delay.speed_loop import SpeedModel
+from servobench.design.delay.delay_loop import Array, SpeedModel
 from servobench.design.errors import NoSolution
 from servobench.design.sampled.falling_norms import Elsewhere, FallingNorms, NormedEdge, Norms
-from servobench.design.sampled.held_loop import HeldInput, Jump, Operation
-from servobench.design.sampled.loaded_periods import LoadedPeriods
-from servobench.design.sampled.peak_steps import error_curvature, start_curvature
-from servobench.design.sampled.peak_tree import Leaves, covered
+from servobench.design.sampled.held_loop import HeldInput, Jump, LoadedPeriods, Operation
+from servobench.design.sampled.peak_steps import Leaves, covered, error_curvature, start_curvature
 from servobench.design.sampled.taylor_map import TaylorMap, constant, control_points, exponential, products
 from servobench.design.sampled.varying_delay import GRIDS, Begin, DelayRange, acts, begins, begun
 

@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import expm
 
-from servobench.design.delay.delay_loop import Array
-from servobench.design.delay.speed_loop import SpeedModel
+from servobench.design.delay.delay_loop import Array, SpeedModel
 from servobench.design.errors import NoSolution
 from servobench.design.sampled.held_loop import Flow, Jump, Operation
 

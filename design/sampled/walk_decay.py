@@ -19,7 +19,7 @@ from scipy.linalg import cholesky
 from servobench.design.delay.delay_loop import Array
 from servobench.design.delay.lmi import LmiProblem, MatrixInequality, Unknowns, last_answer
 from servobench.design.sampled.falling_norms import NormedEdge, coordinates, left_by
-from servobench.design.sampled.peak_tree import covered
+from servobench.design.sampled.peak_steps import covered
 from servobench.design.sampled.taylor_map import control_points, products
 
 CLOSENESS = 0.045

@@ -22,9 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from servobench.design.delay.certificate import STRICT, certified_gain
-from servobench.design.delay.delay_loop import Array
+from servobench.design.delay.delay_loop import Array, SpeedModel
 from servobench.design.delay.lmi import LmiProblem, MatrixInequality, Unknowns, solve
-from servobench.design.delay.speed_loop import SpeedModel
 from servobench.design.errors import NoSolution
 from servobench.design.speed.lmi_design import certified_delay_within, certified_gain_or_inf
 from servobench.design.speed.speed_design import SpeedDesign

@@ -32,11 +32,9 @@ import scipy.optimize
 
 from servobench.design.delay.delay_loop import Array
 from servobench.design.errors import DesignError
-from servobench.design.hinf.mixed_sensitivity import crossing_weight
-from servobench.design.hinf.plant import GeneralisedPlant
+from servobench.design.hinf.mixed_sensitivity import GeneralisedPlant, crossing_weight
 from servobench.design.hinf.synthesis import gamma_min, synthesise, verified_norm
-from servobench.design.speed.conditioned import Conditioned, conditioned, truncated
-from servobench.design.speed.hinf_loop import HinfLoop
+from servobench.design.speed.hinf_loop import Conditioned, HinfLoop, conditioned, truncated
 from servobench.design.speed.plant_loop import SHAFT, later_s, split
 from servobench.design.speed.predictor_design import PHASES, WORST, PredictorRequest, peak_cost
 from servobench.design.speed.predictor_plant import FILTERED, LOAD

@@ -18,10 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from servobench.design.delay.certificate import certified_gain, gain_problem, gain_slope, scaled
-from servobench.design.delay.delay_loop import Array, DelayLoop
+from servobench.design.delay.delay_loop import Array, DelayLoop, Feedback, SpeedModel
 from servobench.design.delay.delay_norm import hinf_norm, largest_stable_delay_s, rough_norm
 from servobench.design.delay.lmi import solve
-from servobench.design.delay.speed_loop import Feedback, SpeedModel
 from servobench.design.errors import NoSolution
 from servobench.design.speed.speed_design import GainWalk, SpeedDesign, largest_delay, least_gain
 

@@ -15,9 +15,8 @@ import numpy as np
 
 from servobench.design.delay.delay_loop import Array
 from servobench.design.sampled.analysis import SampledAnalysis, analyse_loop
-from servobench.design.sampled.held_loop import Jump, Operation
+from servobench.design.sampled.held_loop import Jump, LossyLoop, LossyPeriods, Operation, Period, with_entry
 from servobench.design.sampled.loss_patterns import Pattern
-from servobench.design.sampled.lossy_loop import LossyLoop, LossyPeriods, Period, with_entry
 from servobench.design.speed.hinf_design import HinfDesign
 from servobench.design.speed.hinf_loop import HinfLoop
 from servobench.design.speed.predictor_design import PredictorDesign, Sample, losses_gain, samples_gain

@@ -17,8 +17,7 @@ from scipy.special import ndtri
 
 from servobench.design.confidence import CONFIDENCE, clopper_pearson
 from servobench.design.core.build import check_built
-from servobench.design.delay.delay_loop import Array
-from servobench.design.delay.speed_loop import current_rate_rad_s, speed_model
+from servobench.design.delay.delay_loop import Array, current_rate_rad_s, speed_model
 from servobench.design.errors import CoreNotBuilt, UnsuitableNetwork
 from servobench.design.motor import PmsmParameters
 from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
@@ -83,7 +82,7 @@ def run_many(
     """Return the (runs,) largest |e| of each, rad/s, inf if it diverged; on all processors available to the
     process.
 
-    ``current_bandwidth_hz``: see :func:`servobench.design.delay.speed_loop.speed_model`; its uncertainty
+    ``current_bandwidth_hz``: see :func:`servobench.design.delay.delay_loop.speed_model`; its uncertainty
     follows from R and L.
     """
     check_built("design", CoreNotBuilt)

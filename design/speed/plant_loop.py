@@ -12,8 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import scipy.linalg
 
-from servobench.design.delay.delay_loop import Array
-from servobench.design.delay.speed_loop import SpeedModel
+from servobench.design.delay.delay_loop import Array, SpeedModel
 from servobench.design.hinf.margins import Margins, margins_of
 from servobench.design.sampled.held_loop import Flow, HeldInput, Jump, Operation
 from servobench.design.sampled.lifting import lifted_gain

@@ -5,7 +5,7 @@
 in error coordinates: theta is the error of the position, v that of the speed; omega_s is the
 bandwidth of the drive's closed speed loop, of first order. Positions are sampled every h, and tau passes
 from a sample until its set-point acts; it need be no whole number of periods. In the form of
-:mod:`servobench.design.delay.speed_loop`, x = [v, theta], so :mod:`servobench.design.sampled` certifies it as
+:mod:`servobench.design.delay.delay_loop`, x = [v, theta], so :mod:`servobench.design.sampled` certifies it as
 it does a speed loop.
 """
 
@@ -13,8 +13,7 @@ import math
 
 import numpy as np
 
-from servobench.design.delay.delay_loop import Array
-from servobench.design.delay.speed_loop import SpeedModel
+from servobench.design.delay.delay_loop import Array, SpeedModel
 
 SENSITIVITY_PEAK = 1.4
 """Peak of |S|, by which the gain is chosen: within it gain margins are at least 1.4 / 0.4 = 3.5 and phase

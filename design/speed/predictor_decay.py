@@ -19,7 +19,7 @@ from servobench.design.sampled.taylor_map import control_points
 from servobench.design.sampled.varying_delay import DelayRange
 from servobench.design.sampled.walk_decay import Continued, FollowedWalks, WalkedGraph
 from servobench.design.speed.predictor_gains import CovarianceRange, GainBoxes
-from servobench.design.speed.predictor_loop import PredictorLoop
+from servobench.design.speed.predictor_loop import PredictorLoop, Walks
 from servobench.design.speed.predictor_peaks import (
     SIGNS,
     SampleMove,
@@ -30,7 +30,6 @@ from servobench.design.speed.predictor_peaks import (
     periods_of,
 )
 from servobench.design.speed.predictor_plant import KalmanModel
-from servobench.design.speed.predictor_trial import Walks
 
 _HISTORIES_MAX = 60
 """Histories behind which a walk may begin: 200 give the same decay of Ling's motor."""

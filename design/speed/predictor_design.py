@@ -15,12 +15,19 @@ from functools import cache, cached_property, lru_cache
 import numpy as np
 import scipy.optimize
 
-from servobench.design.delay.delay_loop import Array
-from servobench.design.delay.speed_loop import peak_floor_rad_s
+from servobench.design.delay.delay_loop import Array, peak_floor_rad_s
 from servobench.design.errors import InfeasibleDesign
 from servobench.design.motor import PmsmParameters
 from servobench.design.sampled.held_loop import Operation
-from servobench.design.speed.predictor_loop import Prediction, PredictorLoop, delay_margin_s, together
+from servobench.design.speed.predictor_loop import (
+    AdaptiveFilter,
+    Prediction,
+    PredictorLoop,
+    Walks,
+    delay_margin_s,
+    load_step,
+    together,
+)
 from servobench.design.speed.predictor_plant import (
     KalmanModel,
     PredictorPlant,
@@ -28,7 +35,6 @@ from servobench.design.speed.predictor_plant import (
     of_state,
     plant_of,
 )
-from servobench.design.speed.predictor_trial import AdaptiveFilter, Walks, load_step
 from servobench.design.speed.speed_robustness import (
     CHANGES,
     LoopRobustness,

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from servobench.design.delay.delay_loop import Array
 from servobench.design.errors import NoSolution
+from servobench.design.speed.predictor_loop import Walks
 from servobench.design.speed.predictor_plant import READ, KalmanModel, of_state
-from servobench.design.speed.predictor_trial import Walks
 
 _HISTORIES_MAX = 6000
 """Five losses in a row need 1629; with 500 their certified gain is 40 % higher. At 6000 the boxes have cost

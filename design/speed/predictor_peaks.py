@@ -1,7 +1,7 @@
 """The largest error of a predictor after a load step over every sequence of losses and detected steps, and
 every inertia of a range.
 
-The search of :mod:`servobench.design.sampled.peak_tree`: a leaf remembers between which covariances that of
+The search of :mod:`servobench.design.sampled.peak_steps`: a leaf remembers between which covariances that of
 its filter lies, and the one that believes in faster loads. Its gains lie in a box; with those of the middle
 it goes on, and what the others may make of it adds to its radius. At first the covariances are those behind
 every past, so many histories of losses and steps at once; with each sample they come closer together.
@@ -16,16 +16,14 @@ from numpy.typing import NDArray
 
 from servobench.design.delay.delay_loop import Array
 from servobench.design.sampled.falling_norms import Norms
+from servobench.design.sampled.jump_loop import Outcome
 from servobench.design.sampled.loss_peak import over_inertias
-from servobench.design.sampled.peak_steps import PeakBound
-from servobench.design.sampled.peak_tree import Leaves, bounded_peak, joined
-from servobench.design.sampled.random_losses import Outcome
+from servobench.design.sampled.peak_steps import Leaves, PeakBound, bounded_peak, joined
 from servobench.design.sampled.stepped_load import LoadedPeriod, NormedWalks, Shafts, SteppedLoad
 from servobench.design.sampled.varying_delay import DelayRange
 from servobench.design.speed.predictor_gains import CovarianceRange, GainBoxes
-from servobench.design.speed.predictor_loop import PredictorLoop
+from servobench.design.speed.predictor_loop import PredictorLoop, Walks
 from servobench.design.speed.predictor_plant import KalmanModel, of_state
-from servobench.design.speed.predictor_trial import Walks
 from servobench.design.speed.random_loops import sent
 
 _CLOSENESS, _LEAVES_MAX = 1e-2, 300_000

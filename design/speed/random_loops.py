@@ -10,13 +10,12 @@ from typing import NamedTuple
 
 from servobench.design.delay.delay_loop import Array
 from servobench.design.sampled.held_loop import HeldLoop, Operation, PeriodStep, Strategy, Switch
-from servobench.design.sampled.random_losses import Outcome
+from servobench.design.sampled.jump_loop import Outcome
 from servobench.design.speed.fused_loop import FusedLoop
 from servobench.design.speed.hinf_loop import HinfLoop
 from servobench.design.speed.loss_certificate import lossy_hinf
-from servobench.design.speed.predictor_loop import PredictorLoop
+from servobench.design.speed.predictor_loop import AdaptiveFilter, PredictorLoop, Walks, load_step
 from servobench.design.speed.predictor_plant import KalmanModel, of_state
-from servobench.design.speed.predictor_trial import AdaptiveFilter, Walks, load_step
 
 _RUN_MAX, _BEFORE_MAX = 10, 3
 """Losses in a row beyond which the filter's gains are those of so many: since the last reading, and before

@@ -12,8 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import minimize
 
-from servobench.design.delay.delay_loop import Array
-from servobench.design.delay.speed_loop import Feedback, SpeedModel
+from servobench.design.delay.delay_loop import Array, Feedback, SpeedModel
 from servobench.design.errors import NoSolution
 from servobench.design.sampled.analysis import regular_patterns
 from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy

@@ -20,7 +20,7 @@ from typing import Any, cast
 import numpy as np
 from scipy.optimize import minimize
 
-from servobench.design.delay.delay_loop import Array, DelayLoop, loop_function
+from servobench.design.delay.delay_loop import Array, DelayLoop, Feedback, SpeedModel, loop_function
 from servobench.design.delay.delay_norm import (
     first_delay_beyond_s,
     hinf_norm,
@@ -28,7 +28,6 @@ from servobench.design.delay.delay_norm import (
     peaks,
     sampled_norm,
 )
-from servobench.design.delay.speed_loop import Feedback, SpeedModel
 from servobench.design.errors import NoSolution
 from servobench.design.statespace import ComplexArray
 

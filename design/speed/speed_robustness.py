@@ -16,10 +16,9 @@ from typing import Final
 import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 
-from servobench.design.delay.delay_loop import Array, DelayLoop
+from servobench.design.delay.delay_loop import Array, DelayLoop, SpeedModel, peak_floor_rad_s
 from servobench.design.delay.delay_norm import hinf_norm, largest_stable_delay_s
 from servobench.design.delay.delay_response import step_peak
-from servobench.design.delay.speed_loop import SpeedModel, peak_floor_rad_s
 from servobench.design.hinf.margins import Margins, margins_of
 from servobench.design.motor import PmsmParameters
 from servobench.design.sampled.admissible_steps import Delivery

@@ -10,8 +10,7 @@ from typing import Final, NamedTuple
 
 from servobench.drivers.canopen.network import CanopenNetwork
 from servobench.drivers.canopen.objects301 import object_name
-from servobench.drivers.errors import PeerFault, TransferAborted
-from servobench.drivers.printable import printable
+from servobench.drivers.errors import PeerFault, TransferAborted, printable
 
 _STRUCTS = {code: Struct(f"<{code}") for code in "bBhHiIqQ"}
 

@@ -5,6 +5,8 @@ that queue, and waiting on it lets the network handle frames until the answer or
 
 A bring-up is some hundred transfers of at most four bytes. Those, and uploads, go without canopen's streams,
 which take longer than everything else in such a transfer.
+
+Accounts of outstanding answers to requests and PDOs to SYNCs. Anything beyond them is unsolicited.
 """
 
 import logging
@@ -14,15 +16,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from struct import Struct
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from servobench.drivers.canopen.cob_ids import SDO_ANSWER, SDO_REQUEST
-from servobench.drivers.canopen.owed import OwedAnswers
-from servobench.drivers.timebase import Duration, Instant, duration_s
+from servobench.drivers.timebase import NS_PER_S, Duration, Instant, duration_s
 
 # canopen logs each repeated request as a warning. Whoever wants to read that sets up logging for it.
 logger = logging.getLogger("canopen.sdo.client")
@@ -33,7 +34,7 @@ SDO_ATTEMPTS = 6
 in ten is lost, 41 % of those with five segments break off, six in a row 0.5 %."""
 
 _HEADER = Struct("<BHB")
-_ABORT = Struct("<BHBL")
+_ABORT_FRAME = Struct("<BHBL")
 # First bytes of initiate download and upload, of their answers, and of an abort (CiA 301 7.2.4.3.3,
 # 7.2.4.3.6, 7.2.4.3.17); the answer to an upload tells beside it how many bytes are unused.
 _EXPEDITED_DOWNLOAD = 0x23
@@ -259,4 +260,98 @@ class PumpedSdoClient(SdoClient):
     def abort(self, abort_code: int = 0x08000000) -> None:
         """Abort the transfer, naming its object as CiA 301 7.2.4.3.17 asks."""
         index, sub = self._multiplexer[0] | self._multiplexer[1] << 8, self._multiplexer[2]
-        self._pump.send_request(self._node_id, _ABORT.pack(ABORTED, index, sub, abort_code))
+        self._pump.send_request(self._node_id, _ABORT_FRAME.pack(ABORTED, index, sub, abort_code))
+
+
+ANSWER_LATE_MAX: Final = Duration(5 * NS_PER_S)
+"""A node that stores its parameters, or is simulated on a busy machine, answers a second or two late."""
+ANSWERS_DUE_MAX: Final = 1 << 15
+"""More requests than a bus carries in that time: 3700 a second at 1 Mbit/s, two frames of 135 bits each."""
+
+_ABORT_COMMAND: Final = 4
+_BLOCKS: Final = (5, 6)
+_NAMING_REQUESTS: Final = (1, 2, *_BLOCKS)
+_NAMING_ANSWERS: Final = (2, 3, _ABORT_COMMAND)
+"""Command specifiers of CiA 301 7.2.4.3: an abort, blocks either way, and those that initiate a transfer."""
+
+
+class Owed:
+    """An account of outstanding items.
+
+    A late item never counts as surplus, unless it is later than ``due_max`` others; each lost one hides one
+    surplus, up to ``due_max``.
+    """
+
+    __slots__ = ("due", "due_max", "surplus")
+
+    def __init__(self, due_max: int) -> None:
+        self.due = 0
+        self.due_max = due_max
+        """Items outstanding beyond this number count as lost."""
+        self.surplus = 0
+        """Items beyond those due, so far."""
+
+    def expect(self, count: int = 1) -> None:
+        """Add to the items due."""
+        self.due = min(self.due + count, self.due_max)
+
+    def came(self, count: int = 1) -> int:
+        """Take in items; return how many were not due."""
+        beyond = max(0, count - self.due)
+        self.due = max(0, self.due - count)
+        self.surplus += beyond
+        return beyond
+
+
+class OwedAnswers:
+    """The answers that a node owes on its SDO channel: one per request, however often that was repeated.
+
+    An answer that names an object is owed to a request that named it, an abort to any if none did. What has
+    not come within ANSWER_LATE_MAX is taken for lost, and hides no surplus any more.
+
+        asked     6041h  607Ch  segment      6040h
+        came      6041h  607Ch  segment      6040h  6061h: nobody asked
+    """
+
+    __slots__ = ("_asked", "_blocks_until", "_earlier_until", "surplus")
+
+    def __init__(self, now: Instant) -> None:
+        """``now``: another client may have asked just before; its answer comes before any other."""
+        self._asked: deque[tuple[Instant, bytes]] = deque(maxlen=ANSWERS_DUE_MAX)
+        """Instant of each request, and the object that its answer must name; empty: none."""
+        self._earlier_until = Instant(now + ANSWER_LATE_MAX)
+        self._blocks_until = Instant(0)
+        """Blocks of another client may pass until then: the answers due to them are not tracked."""
+        self.surplus = 0
+        """Answers beyond those due, so far."""
+
+    def expect(self, asked_at: Instant, request: bytes) -> None:
+        """Note one more answer due; none for an abort."""
+        command = request[0] >> 5 if request else 0
+        if command in _BLOCKS:
+            self._blocks_until = Instant(asked_at + ANSWER_LATE_MAX)
+        if command != _ABORT_COMMAND:
+            named = command in _NAMING_REQUESTS
+            self._asked.append((asked_at, request[1:4] if named else b""))
+
+    def came(self, at: Instant, answer: bytes) -> bool:
+        """Take in an answer; return True if it was due."""
+        asked = self._asked
+        while asked and at - asked[0][0] > ANSWER_LATE_MAX:
+            asked.popleft()
+        command = answer[0] >> 5 if answer else 0
+        name = answer[1:4] if command in _NAMING_ANSWERS else b""
+        due = next((each for each in asked if each[1] == name), None)
+        if due is None and command == _ABORT_COMMAND and asked:
+            due = asked[0]
+        if due is not None:
+            asked.remove(due)
+            self._earlier_until = Instant(0)
+            return True
+        if at <= self._earlier_until:
+            self._earlier_until = Instant(0)
+            return True
+        if at <= self._blocks_until:
+            return True
+        self.surplus += 1
+        return False

@@ -12,6 +12,7 @@ from servobench.drivers.canopen.pdo import PdoPlan
 from servobench.drivers.cia402.drive_setup import (
     DriveSettings,
     Identity,
+    map_observed,
     read_identity,
     read_scaling,
     write_limits,
@@ -20,10 +21,8 @@ from servobench.drivers.cia402.drive_setup import (
 from servobench.drivers.cia402.drive_watch import DriveWatch
 from servobench.drivers.cia402.follow_watch import FollowWatch
 from servobench.drivers.cia402.mode_control import MODE_BITS, ModeControl
-from servobench.drivers.cia402.mode_ramps import write_ramps
 from servobench.drivers.cia402.motion import KEEP_HOMING, KEEP_PROFILE, HomingSetup, Motion, MoveProfile
 from servobench.drivers.cia402.objects402 import Object
-from servobench.drivers.cia402.observed import map_observed
 from servobench.drivers.cia402.pdo_mapping import map_pdos
 from servobench.drivers.cia402.profile import DriveCommand, Mode, State, state_of
 from servobench.drivers.cia402.readings import ReadingAssembler
@@ -31,6 +30,7 @@ from servobench.drivers.cia402.rest import REST_POLL, calms, resting_since
 from servobench.drivers.cia402.setpoint import SetPointFrames
 from servobench.drivers.cia402.state_control import FAULTY, StateControl
 from servobench.drivers.cia402.supervision import CommandSupervision, Release, end_heartbeat
+from servobench.drivers.cia402.velocity_mode import write_ramps
 from servobench.drivers.core.native import LastStatusword
 from servobench.drivers.errors import BusDown, NoAnswer, PeerFault
 from servobench.drivers.exchange import (

@@ -5,8 +5,7 @@ from typing import Any
 
 import canopen.objectdictionary as od
 
-from servobench.drivers.canopen.data_types import BITS, REAL_BITS, STRUCT_CODES
-from servobench.drivers.canopen.objects301 import FIRST_OBJECT, PDO_ENTRIES_MAX
+from servobench.drivers.canopen.objects301 import BITS, FIRST_OBJECT, PDO_ENTRIES_MAX, REAL_BITS, STRUCT_CODES
 from servobench.drivers.canopen.pdo import PdoDirection
 from servobench.drivers.canopen.pdo_capability import MappedObject, PdoCapability, PdoSlot
 from servobench.drivers.sheets.dictionary import LoadedDictionary, held_by

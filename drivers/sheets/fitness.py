@@ -14,9 +14,9 @@ from servobench.drivers.canopen.objects301 import FIRST_OBJECT, Cia301, is_mappi
 from servobench.drivers.canopen.pdo import BITS_MAX, key_of, mapping_text
 from servobench.drivers.canopen.pdo_capability import PdoCapability, PdoSlot
 from servobench.drivers.cia402.judgement import Judgement, ModeFitness, ToldDrive, judge, offered
-from servobench.drivers.cia402.mode_ramps import RAMPS, SPEEDS
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode, run_words
+from servobench.drivers.cia402.velocity_mode import RAMPS, SPEEDS
 from servobench.drivers.sheets.capability import capability_of
 from servobench.drivers.sheets.dictionary import LoadedDictionary, held, held_by, held_number, told_identity
 from servobench.drivers.vendors.families import stamp_for

@@ -15,7 +15,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from servobench.drivers.printable import printable
+from servobench.drivers.errors import printable
 from servobench.hil.commissioning.drive_left import changed_objects
 from servobench.hil.commissioning.report import Commissioned, as_json
 from servobench.hil.commissioning.request import CommissionRequest

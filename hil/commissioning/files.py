@@ -7,13 +7,12 @@ from typing import Any, Final
 
 from canopen.objectdictionary import ObjectDictionary, ODVariable
 
-from servobench.drivers.canopen.data_types import DataType
-from servobench.drivers.canopen.objects301 import MANDATORY, MANUFACTURER
+from servobench.drivers.canopen.objects301 import MANDATORY, MANUFACTURER, DataType
 from servobench.drivers.cia402.drive_setup import Identity
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import BENCH_MODES, Mode, QuickStopOption, run_words
 from servobench.drivers.rotation import RAD_S_PER_RPM, RPM_PER_RAD_S
-from servobench.drivers.sheets.value_text import value_text
+from servobench.drivers.sheets.dictionary import value_text
 from servobench.hil.commissioning.findings import LOSSES_MAX, Findings
 from servobench.hil.commissioning.rehearsal import (
     copied_files,

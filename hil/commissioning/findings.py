@@ -12,9 +12,9 @@ from servobench.drivers.cia402.scaling import ScaleOverride, Scaling
 from servobench.drivers.cia402.told_motor import ToldMotor
 from servobench.drivers.errors import PeerFault
 from servobench.drivers.timebase import NS_PER_MS, Duration
+from servobench.hil.commissioning.excitation import Resonance
 from servobench.hil.commissioning.identify import Mechanics, SpeedRatio
 from servobench.hil.commissioning.request import MotionLimits
-from servobench.hil.commissioning.resonance import Resonance
 from servobench.hil.configuration.network_file import Network
 from servobench.hil.restoring.journal import ObjectKey
 

@@ -9,7 +9,7 @@ import math
 from dataclasses import replace
 from typing import Final
 
-from servobench.design.flux_constants import figure
+from servobench.design.motor import figure
 from servobench.design.sheet_figures import Contradiction
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.told_motor import ToldFigure, ToldMotor, read_told_motor

@@ -16,11 +16,10 @@ from dataclasses import replace
 from typing import Final
 
 from servobench.drivers.canopen.objects import RemoteObjects, write_greatest
-from servobench.drivers.cia402.mode_ramps import RAMPS, SPEEDS, VL_RAMPS
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode
 from servobench.drivers.cia402.scaling import Scaling
-from servobench.drivers.cia402.velocity_mode import velocity_mode_ramp
+from servobench.drivers.cia402.velocity_mode import RAMPS, SPEEDS, VL_RAMPS, velocity_mode_ramp
 from servobench.hil.commissioning.findings import DriveRamp, Findings, StepFailed
 from servobench.hil.commissioning.request import MotionLimits
 

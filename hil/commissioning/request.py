@@ -8,12 +8,11 @@ from typing import Final
 from pydantic import Field
 
 from servobench.design.data_sheet import readings
-from servobench.design.flux_constants import CONVENTIONS
+from servobench.design.motor import CONVENTIONS
 from servobench.design.sheet_figures import Contradiction, SheetFigures
 from servobench.drivers.bounded_file import NamedBy, read_toml
 from servobench.drivers.canopen.objects301 import FIRST_OBJECT
-from servobench.drivers.errors import BadInput
-from servobench.drivers.printable import printable
+from servobench.drivers.errors import BadInput, printable
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.vendors.motor_objects import POLE_PAIRS_MAX
 from servobench.hil.configuration.config import Foreign, Guard
@@ -55,7 +54,7 @@ class PlateMotor(Section):
     """``[motor]``: known data of the motor itself; all optional.
 
     Resistance and inductances are of one phase of a star. The constants of the flux are named as in
-    :data:`servobench.design.flux_constants.CONVENTIONS`; with one of them the torque has a second witness.
+    :data:`servobench.design.motor.CONVENTIONS`; with one of them the torque has a second witness.
     """
 
     name: str = "motor"

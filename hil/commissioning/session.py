@@ -28,8 +28,7 @@ from servobench.hil.commissioning.drive_port import QUANTITY_OF_MODE, DrivePort
 from servobench.hil.commissioning.exercise import EnergyMeter, Exerciser
 from servobench.hil.commissioning.findings import Findings, StepFailed, StepOutcome
 from servobench.hil.commissioning.identify import Mechanics
-from servobench.hil.commissioning.lapses import HostGaps, lapses
-from servobench.hil.commissioning.own_faults import advise, passing_cause
+from servobench.hil.commissioning.lapses import HostGaps, advise, lapses, passing_cause
 from servobench.hil.commissioning.ramps import set_ramps, within_ramps, write_moves
 from servobench.hil.commissioning.recording import SessionLog
 from servobench.hil.commissioning.request import CommissionRequest, MotionLimits, cautious

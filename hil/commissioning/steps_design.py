@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from servobench.design.delay.speed_loop import Feedback, speed_model
+from servobench.design.delay.delay_loop import Feedback, speed_model
 from servobench.design.errors import DesignError
 from servobench.design.motor import PmsmParameters, Transform
 from servobench.design.speed.speed_design import least_gain

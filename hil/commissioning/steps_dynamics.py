@@ -10,13 +10,16 @@ from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from servobench.hil.commissioning.command_probe import CommandProbe, switches
 from servobench.hil.commissioning.excitation import (
+    RISE_MIN,
     ComplexArray,
     FrequencyResponse,
     SpeedGuide,
     StepLag,
+    closer_lines_hz,
     frequency_response,
     lines_hz,
     multisine,
+    resonance_of,
     step_lag,
 )
 from servobench.hil.commissioning.findings import StepFailed, StepOutcome, refuse_losses
@@ -24,7 +27,6 @@ from servobench.hil.commissioning.identify import Array
 from servobench.hil.commissioning.plots import draw_delays, draw_response
 from servobench.hil.commissioning.ramps import ramps_told
 from servobench.hil.commissioning.request import MotionLimits
-from servobench.hil.commissioning.resonance import RISE_MIN, closer_lines_hz, resonance_of
 from servobench.hil.commissioning.sequence import Step
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_mechanics import ramp_time, tells_torque

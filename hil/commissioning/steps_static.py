@@ -9,9 +9,8 @@ from typing import Final
 import numpy as np
 from canopen.objectdictionary import ObjectDictionary, ODVariable
 
-from servobench.drivers.canopen.data_types import DataType
 from servobench.drivers.canopen.network import CanopenNetwork
-from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.canopen.objects301 import Cia301, DataType
 from servobench.drivers.cia402.drive_setup import read_scaling
 from servobench.drivers.cia402.judgement import judge, told_by_drive
 from servobench.drivers.cia402.objects402 import Object

@@ -9,7 +9,7 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
-from servobench.design.flux_constants import AGREEING
+from servobench.design.motor import AGREEING
 from servobench.hil.commissioning.findings import Findings
 from servobench.hil.commissioning.nameplate import CONSTANT_QUANTITY
 from servobench.hil.commissioning.request import Nameplate

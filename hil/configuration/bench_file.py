@@ -36,8 +36,8 @@ from servobench.hil.configuration.drive_model import load_drive_model
 from servobench.hil.configuration.motor_file import load_motor
 from servobench.hil.configuration.preset_files import could_name_a_preset
 from servobench.hil.configuration.references import load_signal
+from servobench.virtual_bus.faults.fates import read_recorded
 from servobench.virtual_bus.faults.fault_plan import FaultPlan, load_fault_plan, read_fault_plan
-from servobench.virtual_bus.faults.replay import read_recorded
 from servobench.virtual_bus.hosting.injection import Faults
 
 ENTRY_POINTS = "servobench.controllers"

@@ -12,8 +12,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, PrivateAttr, create_model, model_validator
 
 from servobench.drivers.bounded_file import NamedBy
-from servobench.drivers.instruments.dynamometer import BAUD, DynamometerSettings
-from servobench.drivers.instruments.magtrol import Dialect, dialect
+from servobench.drivers.instruments.dynamometer import BAUD, Dialect, DynamometerSettings, dialect
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Duration
 from servobench.drivers.wire.adapters import SIMULATED
 from servobench.hil.configuration.config_axis import DriveConfig

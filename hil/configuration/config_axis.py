@@ -9,11 +9,10 @@ from typing import Annotated, Any, Final, Literal, NamedTuple
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator
 
-from servobench.drivers.canopen.data_types import STRUCT_CODES, DataType
-from servobench.drivers.canopen.objects301 import object_name
+from servobench.drivers.canopen.objects301 import STRUCT_CODES, DataType, object_name
 from servobench.drivers.canopen.pdo import SYNCHRONOUS_MAX, PdoEntry
+from servobench.drivers.cia402.drive_setup import NUMBERS, Observed
 from servobench.drivers.cia402.objects402 import Object
-from servobench.drivers.cia402.observed import NUMBERS, Observed
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.sheets.eds.types import standard_type, type_by_name
 from servobench.drivers.timebase import NS_PER_US, Duration
@@ -37,7 +36,7 @@ from servobench.hil.configuration.quantities import (
 from servobench.hil.loop.quantity_by_mode import QUANTITY_BY_MODE
 from servobench.hil.loop.scenario import Quantity
 from servobench.virtual_bus.device.device_options import STAMP_BITS, STAMP_LATE_MAX_NS, StampLatch
-from servobench.virtual_bus.drive.current_bandwidth import current_bandwidth_hz
+from servobench.virtual_bus.drive.current_controller import current_bandwidth_hz
 from servobench.virtual_bus.drive.lacks import PATTERN
 
 _OBJECT: Final = re.compile(r"([0-9A-Fa-f]{4})(?::([0-9]{1,3}))?")

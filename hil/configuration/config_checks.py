@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from servobench.drivers.canopen.cob_ids import BROADCASTS, EMERGENCY, NODE_BITS, SYNC
 from servobench.drivers.canopen.pdo import PdoPlan
 from servobench.drivers.canopen.pdo_budget import budget_of
-from servobench.drivers.cia402.observed import NUMBERS, with_observed
+from servobench.drivers.cia402.drive_setup import NUMBERS, with_observed
 from servobench.drivers.cia402.pdo_planner import mode_plan
 from servobench.drivers.cia402.pdo_plans import Features, PlanWish
 from servobench.drivers.cia402.profile import BENCH_MODES
@@ -21,7 +21,7 @@ from servobench.hil.configuration.controller_kinds import StampCompensator
 from servobench.hil.configuration.mode_checks import Fault, mode_faults, reference_faults
 from servobench.hil.configuration.references import Load, LoadStep, SignalFile, SineReference
 from servobench.hil.loop.scenario import Quantity
-from servobench.virtual_bus.drive.field import NO_FIELD, speed_without_load_rad_s
+from servobench.virtual_bus.drive.mechanism import NO_FIELD, speed_without_load_rad_s
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
 from servobench.virtual_bus.faults.kinds.chopper_off import ChopperOff
 from servobench.virtual_bus.faults.kinds.loose_coupling import LooseCoupling

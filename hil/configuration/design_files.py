@@ -8,13 +8,13 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from servobench.design.hinf.mixed_sensitivity import (
+    GeneralisedPlant,
     Weight,
     Weights,
     crossing_weight,
     error_weight,
     slope_weight,
 )
-from servobench.design.hinf.plant import GeneralisedPlant
 from servobench.design.statespace import state_space
 from servobench.drivers.bounded_file import NamedBy, parse_json, read_text, read_toml
 from servobench.drivers.errors import BadInput

@@ -20,7 +20,7 @@ from servobench.hil.configuration.preset_files import FromPreset, load_file_or_p
 from servobench.hil.configuration.quantities import Current, Resistance, Voltage
 from servobench.virtual_bus.device.device_options import AT_ONCE
 from servobench.virtual_bus.drive.encoder import Encoder, SineErrors, SpeedMethod, SpeedSensing
-from servobench.virtual_bus.drive.field import FieldOptions
+from servobench.virtual_bus.drive.mechanism import FieldOptions
 from servobench.virtual_bus.drive.power_stage import (
     Chopper,
     CurrentSensors,

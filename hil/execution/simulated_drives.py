@@ -19,8 +19,7 @@ from servobench.drivers.canopen.cob_ids import NODE_BITS, SENT_BY_NODES
 from servobench.drivers.canopen.network import CanopenNetwork
 from servobench.drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED
 from servobench.drivers.canopen.objects301 import Cia301
-from servobench.drivers.errors import AnswersTwice, BadInput, NoAnswer, PeerFault
-from servobench.drivers.printable import printable
+from servobench.drivers.errors import AnswersTwice, BadInput, NoAnswer, PeerFault, printable
 from servobench.drivers.timebase import NS_PER_S, Clock, Duration, Instant
 from servobench.drivers.wire.adapters import BusSpec, shared_bus
 from servobench.drivers.wire.link import BusLink
@@ -36,7 +35,7 @@ from servobench.hil.machine.stopping import stop_signals
 from servobench.virtual_bus.device.background import Stream, background_nodes
 from servobench.virtual_bus.device.lss_slave import NODE_ID_KEY
 from servobench.virtual_bus.device.parameter_storage import FileStore
-from servobench.virtual_bus.drive.load_table import LoadTable
+from servobench.virtual_bus.drive.load_object import LoadTable
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from servobench.virtual_bus.drive.unknown_drive import unknown_drive

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import Final, NamedTuple
 
-from servobench.drivers.canopen.owed import Owed
 from servobench.drivers.canopen.pdo import PdoMap
+from servobench.drivers.canopen.sdo import Owed
 from servobench.drivers.timebase import NEVER, Duration, Instant
 from servobench.hil.core.native import RegularStream
 from servobench.hil.loop.syncs import REMEMBERED, SyncLog

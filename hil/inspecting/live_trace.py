@@ -12,7 +12,7 @@ from servobench.drivers.wire.frame_port import FramePort
 from servobench.drivers.wire.identifiers import ERROR_FLAG
 from servobench.drivers.wire.message_port import MessagePort
 from servobench.hil.inspecting.scanning import ScanPlan, open_to_look
-from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.frame_columns import LogFrame
 from servobench.virtual_bus.bus.hub import HubBus
 
 _LOOK_EVERY: Final = Duration(100 * NS_PER_MS)

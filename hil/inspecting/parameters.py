@@ -13,15 +13,20 @@ from typing import Any, Final, NamedTuple
 
 from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable, export_od
 
-from servobench.drivers.canopen.data_types import DataType
 from servobench.drivers.canopen.network import CanopenNetwork
-from servobench.drivers.canopen.objects301 import Cia301, object_name
+from servobench.drivers.canopen.objects301 import Cia301, DataType, object_name
 from servobench.drivers.cia402.drive_setup import Identity
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.servo import ServoDrive
 from servobench.drivers.errors import BadInput, PeerFault, TransferAborted
-from servobench.drivers.sheets.dictionary import load_dictionary, told_identity, variables_in
-from servobench.drivers.sheets.value_text import NUMBERS, is_kept, value_text
+from servobench.drivers.sheets.dictionary import (
+    NUMBERS,
+    is_kept,
+    load_dictionary,
+    told_identity,
+    value_text,
+    variables_in,
+)
 from servobench.drivers.timebase import NS_PER_S, Duration
 
 Place = tuple[int, int]

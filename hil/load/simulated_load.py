@@ -13,7 +13,7 @@ from servobench.drivers.bounded_file import NamedBy
 from servobench.drivers.errors import BadInput
 from servobench.hil.configuration.references import Signal, load_signal
 from servobench.hil.loop.scenario import Quantity
-from servobench.virtual_bus.drive.load_table import LoadTable
+from servobench.virtual_bus.drive.load_object import LoadTable
 from servobench.virtual_bus.instruments.dynamometer import Brake, Instrument, InstrumentAtTerminal, Shaft
 from servobench.virtual_bus.instruments.serial_line import LineFaults, PseudoTerminal
 

@@ -1,9 +1,14 @@
-"""Packages that not every user needs, and which extra of servobench brings each."""
+"""Packages that not every user needs, and which extra of servobench brings each.
+
+Finds what is no code and comes with the package: the examples and the pages of the documentation.
+"""
 
 import traceback
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Final
 
+from servobench.drivers.compiled import ROOT
 from servobench.drivers.errors import BenchError
 from servobench.hil.machine.held_process import OWN_FILES
 
@@ -51,3 +56,18 @@ def missing_extra(error: BaseException, command: str = "this") -> MissingExtra |
     if package not in EXTRAS or any(frame.filename in OWN_FILES for frame in frames):
         return None
     return MissingExtra(package, command, "campaign" if "campaign" in command else "")
+
+
+def examples_folder() -> Path:
+    """Return the examples: within an installed package, or at the top of a checkout."""
+    return _shipped("examples")
+
+
+def docs_folder() -> Path:
+    """Return the pages of the documentation, in Markdown."""
+    return _shipped("docs")
+
+
+def _shipped(name: str) -> Path:
+    installed = ROOT / "hil" / name
+    return installed if installed.is_dir() else ROOT / name

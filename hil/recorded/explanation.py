@@ -12,8 +12,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from servobench.drivers.errors import BadInput
-from servobench.drivers.printable import printable
+from servobench.drivers.errors import BadInput, printable
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US
 from servobench.hil.loop.cycle_record import COLUMNS, COMMAND_FATES, FATE_SAMPLE, NOTHING
 from servobench.hil.recorded.judgement import Judged

@@ -11,8 +11,16 @@ from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import STATE_BITS, state_of
 from servobench.drivers.timebase import NS_PER_S
 from servobench.hil.configuration.config_axis import DriveConfig
-from servobench.hil.reviewing.log_content import BusContent, LogContent, ObjectValues, PdoFrames
-from servobench.hil.reviewing.log_cycles import CyclicPdo, SyncGrid, cyclic_pdo, percentiles_us
+from servobench.hil.reviewing.log_content import (
+    BusContent,
+    CyclicPdo,
+    LogContent,
+    ObjectValues,
+    PdoFrames,
+    SyncGrid,
+    cyclic_pdo,
+    percentiles_us,
+)
 
 _READINGS: Final = (
     Object.VELOCITY_ACTUAL_VALUE,

@@ -14,7 +14,7 @@ from servobench.hil.execution.recorded_bench import review_plan
 from servobench.hil.loop.cycle_record import FATE_SAMPLE
 from servobench.hil.loop.loop import planned_cycles
 from servobench.hil.recording.row_series import READ_SERIES, main_lines_of, position_lines_of
-from servobench.hil.recording.run_folder import read_summary
+from servobench.hil.recording.run_metadata import read_summary
 from servobench.hil.recording.whole_figures import COUNTED_SHARE
 from servobench.hil.reviewing.envelope import Envelope, Gaps, Points
 from servobench.hil.reviewing.histogram import TimeHistogram

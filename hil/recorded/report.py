@@ -1,4 +1,7 @@
-"""A review as a report in one file: Markdown, or HTML with its pictures in it."""
+"""A review as a report in one file: Markdown, or HTML with its pictures in it.
+
+The review of a log as a page: one .html or .md file with its pictures, and in words for the terminal.
+"""
 
 import base64
 import html
@@ -7,16 +10,18 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from servobench.drivers.errors import BadInput
-from servobench.drivers.printable import printable
+from servobench.drivers.errors import BadInput, printable
 from servobench.drivers.timebase import NS_PER_S
 from servobench.drivers.written_file import write_file
 from servobench.hil.recorded.judgement import Judged
+from servobench.hil.recorded.log_axis import AxisReview
+from servobench.hil.recorded.log_review import LogReview
 from servobench.hil.reviewing.html_page import html_page, html_table
 from servobench.hil.rows.events import read_events
 from servobench.hil.rows.run_files import EVENTS_FILE
-from servobench.hil.verdict.summary_text import certificate_rows, limit_rows, summary_lines
-from servobench.hil.verdict.verdict import LimitResult, VerdictKind, verdict_title
+from servobench.hil.verdict.metrics import metric_title
+from servobench.hil.verdict.summary_text import certificate_rows, limit_rows, number, summary_lines
+from servobench.hil.verdict.verdict import ExitStatus, LimitResult, VerdictKind, verdict_title
 
 SUFFIXES: Final = (".html", ".md")
 _EVENTS_MAX: Final = 200
@@ -113,3 +118,137 @@ def _markdown(judged: Judged) -> str:
                 data = base64.b64encode(svg.encode()).decode()
                 parts.append(f"![{words}](data:image/svg+xml;base64,{data})")
     return "\n\n".join(parts) + "\n"
+
+
+PDO_HEADS: Final = (
+    "axis",
+    "PDO",
+    "frames",
+    "SYNC",
+    "due",
+    "lost",
+    "row",
+    "late",
+    "p50 us",
+    "p99 us",
+    "max us",
+)
+"""Frames in all; with which SYNCs; in how many cycles due, lost, in a row, after the next SYNC; delay."""
+_LINES_MAX: Final = 200
+"""Of a table of a page; --json has all."""
+
+
+def sync_lines(review: LogReview) -> Iterator[str]:
+    """Yield a line for each interface."""
+    told = review.as_json()
+    for name, sync in told["sync"].items():
+        where = f"{name}: " if len(told["sync"]) > 1 else ""
+        every = f"every {number(sync['period_us'])} us (bench: {sync['bench_period_us']})"
+        off = f"at most {number(sync['jitter_us'])} us off"
+        yield f"{where}{sync['syncs']} SYNCs {every}, {off}, {sync['missed']} missed"
+    cycles, axes = told["cycles"], len(review.axes)
+    yield f"figures and limits: {cycles} cycles{' of each axis' if axes > 1 else ''}, the drive enabled"
+
+
+def pdo_rows(review: LogReview) -> Iterator[tuple[str, ...]]:
+    """Yield the rows below :data:`PDO_HEADS`."""
+    for axis in review.axes:
+        told = axis.as_json()
+        for pdo in told["pdos"]:
+            every, delays = pdo["every_nth_sync"], pdo["delay_us"] or {}
+            main = pdo["name"] in (told["reading"], told["command"])
+            cyclic = every is not None
+            yield (
+                axis.name,
+                f"{pdo['name']}{' *' if main else ''}",
+                str(pdo["frames"]),
+                "event" if every is None else "each" if every == 1 else f"1 in {every}",
+                *(str(pdo[key]) if cyclic else "-" for key in _COUNTS),
+                *(number(delays.get(key)) if cyclic else "-" for key in ("p50", "p99", "max")),
+            )
+
+
+_COUNTS: Final = ("cycles_expected", "lost", "lost_in_a_row", "after_the_next_sync")
+
+
+def limit_lines(review: LogReview) -> Iterator[tuple[str, str, str, str]]:
+    """Yield title, value, limit and result."""
+    for check in review.checks:
+        yield metric_title(check.metric), number(check.value), f"{check.limit:g}", check.result.value
+
+
+def story_of(axis: AxisReview) -> list[tuple[float, str, str]]:
+    """Return states, NMT states and EMCYs in order of time: s, what, text."""
+    told = [(at, "state", state) for at, state in axis.states]
+    told += [(at, "NMT", state) for at, state in axis.nmt]
+    told += [(at, "EMCY", printable(text)) for at, text in axis.emergencies]
+    return sorted(told)
+
+
+def write_log_report(review: LogReview, path: Path) -> None:
+    """Raises BadInput for a path that ends otherwise, or cannot be written to."""
+    if path.suffix not in SUFFIXES:
+        raise BadInput("--report", "", str(path), f"a file that ends in {' or '.join(SUFFIXES)}")
+    write_file("--report", path, _log_html(review) if path.suffix == ".html" else _log_markdown(review))
+
+
+def _log_tables(review: LogReview) -> Iterator[Table]:
+    yield "Requirements", ("requirement", "value", "at most", ""), list(limit_lines(review))
+    if review.unjudged:
+        yield "Not told by a log", ("",), [(metric_title(key),) for key in review.unjudged]
+    yield "Findings", ("",), [(printable(text),) for _, text in review.findings]
+    yield "SYNC", ("",), [(line,) for line in sync_lines(review)]
+    yield "PDOs", PDO_HEADS, list(pdo_rows(review))
+    for axis in review.axes:
+        story = [(f"{at:.6f}", what, text) for at, what, text in story_of(axis)]
+        yield f"{axis.name}: states and EMCYs", ("s", "", ""), story[:_LINES_MAX]
+    yield "Notes", ("",), [(note,) for note in review.notes]
+
+
+def _log_pictures(review: LogReview) -> Iterator[tuple[str, str]]:
+    from servobench.hil.recorded.paper import histogram_figure, paper_figure, svg_text
+
+    if any(axis.reading is not None for axis in review.axes):
+        yield (
+            "Speed, torque and delay by the frames of the log; dashed: limits",
+            svg_text(paper_figure(review.signals, "the log's first frame")),
+        )
+        yield "Delays of the readings after their SYNCs", svg_text(histogram_figure(review.signals))
+
+
+def _title(review: LogReview) -> str:
+    return f"{review.path.name} by {review.config.bench.name}"
+
+
+def _log_html(review: LogReview) -> str:
+    fair = " passed" if review.exit_status == ExitStatus.PASSED else ""
+    parts = [f"<h1>{html.escape(_title(review))}</h1>"]
+    parts.append(f"<p class='verdict{fair}'>{html.escape(review.verdict.upper())}</p>")
+    for place, (title, heads, rows) in enumerate(_log_tables(review)):
+        if rows:
+            parts.append(f"<h2>{html.escape(title)}</h2>" + html_table(heads, rows, classes=_CLASSES))
+        if not place:
+            parts += [
+                f"<figure>{svg}<figcaption>{words}</figcaption></figure>"
+                for words, svg in _log_pictures(review)
+            ]
+    return html_page(_title(review), parts)
+
+
+def _log_markdown(review: LogReview) -> str:
+    parts = [f"# {_title(review)}: {review.verdict.upper()}"]
+    for place, (title, heads, rows) in enumerate(_log_tables(review)):
+        if rows:
+            parts.append(f"## {title}\n\n" + "\n".join(_markdown_table(heads, rows)))
+        if not place:
+            for words, svg in _log_pictures(review):
+                data = base64.b64encode(svg.encode()).decode()
+                parts.append(f"![{words}](data:image/svg+xml;base64,{data})")
+    return "\n\n".join(parts) + "\n"
+
+
+def _markdown_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    yield f"| {' | '.join(heads)} |"
+    yield "|" + ":--|" * len(heads)
+    for row in rows:
+        yield f"| {' | '.join(cell.replace('|', '/') for cell in row)} |"

@@ -9,8 +9,7 @@ import subprocess
 from pathlib import Path
 from typing import Final
 
-from servobench.drivers.errors import BadInput
-from servobench.drivers.printable import printable
+from servobench.drivers.errors import BadInput, printable
 from servobench.hil.rows.run_files import SEAL_FILE
 
 NAMESPACE: Final = "servobench"

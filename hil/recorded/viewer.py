@@ -13,8 +13,7 @@ from typing import Any, Final
 
 from rerun.experimental import ViewerClient
 
-from servobench.drivers.errors import BadInput, PeerFault
-from servobench.drivers.printable import printable
+from servobench.drivers.errors import BadInput, PeerFault, printable
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
 from servobench.hil.recorded.commissioning_page import commissioning_page, is_commissioning
 from servobench.hil.recording.blueprint import ZOOM_PAGE

@@ -53,8 +53,11 @@ def _emergency(each: EmergencySeries, makes: Mapping[int, Make], ended_at: Insta
 
 def last_frames(folder: Path, count: int = FRAMES_MAX) -> list[str]:
     """The last frames of a recording, each with its name; empty if there are none."""
-    from servobench.hil.rows.frames_file import read_batches  # pyarrow, which no loop needs
-    from servobench.hil.rows.frames_index import indexed_batches, read_index
+    from servobench.hil.rows.frames_file import (
+        indexed_batches,
+        read_batches,  # pyarrow, which no loop needs
+        read_index,
+    )
 
     lying = indexed_batches(read_index(folder))
     begin = 0

@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from servobench.drivers.timebase import NS_PER_MS, Duration
 from servobench.drivers.wire.identifiers import ERROR_FLAG
 from servobench.hil.recording.append_file import AppendFile
-from servobench.hil.rows.frames_file import BATCH_FRAMES, FramesWriter, finish_frames
-from servobench.hil.rows.frames_index import FramesIndex
+from servobench.hil.rows.frames_file import BATCH_FRAMES, FramesIndex, FramesWriter, finish_frames
 from servobench.hil.rows.run_files import FRAMES_FILE, INDEX_FILE
 from servobench.hil.rows.side_rows import FRAME_DTYPE
 

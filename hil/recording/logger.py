@@ -7,6 +7,8 @@ outcome, the writer died; the rings still hold what it had stored, and the recor
 verdict that says so. Printed are the line "ready" when the logger drains, "stored" when what was there at a
 "confirm" is in the files, "failed" and why as soon as a file cannot be written, and at the end the summary,
 one line of JSON.
+
+Keepers of a run, as its plan asks for them.
 """
 
 import json
@@ -19,13 +21,22 @@ from importlib.abc import MetaPathFinder
 from pathlib import Path
 
 from servobench.drivers.timebase import NS_PER_S, MonotonicClock
-from servobench.hil.recording.keepers import open_keepers
-from servobench.hil.recording.log_files import LIVE_VIEW, FaultsKeeper, Keeper
+from servobench.hil.machine.extras import is_installed
+from servobench.hil.recording.log_files import (
+    LIVE_VIEW,
+    EventsKeeper,
+    FaultsKeeper,
+    FramesKeeper,
+    Keeper,
+    LoadKeeper,
+    NetworkKeeper,
+    RecordsKeeper,
+)
 from servobench.hil.recording.logger_process import CONFIRM, FAILED, READY, STORED, LineReader
+from servobench.hil.recording.recovery import whole_records
 from servobench.hil.recording.ring import RingReader
-from servobench.hil.recording.run_folder import Reserve, write_summary
+from servobench.hil.recording.run_metadata import Reserve, write_summary
 from servobench.hil.recording.sealer import Sealer
-from servobench.hil.recording.whole_records import whole_records
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.events import BLOCK_DTYPE, FaultEntries, InjectedFaults, RunZero
 from servobench.hil.rows.frames_file import finish_frames
@@ -46,6 +57,31 @@ from servobench.hil.verdict.plain_values import from_plain
 from servobench.hil.verdict.summary import Summary, summarise
 from servobench.hil.verdict.verdict import RunOutcome
 from servobench.virtual_bus.faults.fault_log import FAULTS_FILE
+
+
+def open_keepers(plan: RecordingPlan, review: Review) -> list[Keeper]:
+    """Everything that the plan asks for; nothing without a folder.
+
+    ``review``: of the run, for its pages.
+    """
+    if plan.folder is None:
+        return []
+    keepers: list[Keeper] = [
+        RecordsKeeper(plan, plan.folder),
+        EventsKeeper(plan, plan.folder),
+        LoadKeeper(plan, plan.folder),
+    ]
+    if plan.frames:
+        keepers.append(FramesKeeper(plan, plan.folder))
+    if plan.period_us:
+        keepers.append(NetworkKeeper(plan.folder, review))
+    # last, so that on a full disk what is kept for the end is not Rerun's
+    if is_installed("rerun"):
+        from servobench.hil.recording.page_keepers import open_pages
+
+        keepers += open_pages(plan, plan.folder, review)
+    return keepers
+
 
 _DRAIN_PERIOD_S = 0.1
 """So often a live view moves; the ring of rows holds a minute of 1 kHz."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from servobench.drivers.canopen.cob_ids import SDO_ANSWER
 from servobench.drivers.canopen.pdo import PdoDirection
-from servobench.drivers.cia402.observed import NUMBERS
+from servobench.drivers.cia402.drive_setup import NUMBERS
 from servobench.hil.rows.recording_plan import ObservedDrive, ObservedSignal
 
 Signal = tuple[str, NDArray[np.int64], NDArray[np.float64]]

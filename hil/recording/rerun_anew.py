@@ -9,7 +9,7 @@ from uuid import uuid4
 
 import rerun as rr
 
-from servobench.drivers.printable import printable
+from servobench.drivers.errors import printable
 from servobench.drivers.timebase import Instant
 from servobench.hil.loop.cycle_record import ROW
 from servobench.hil.recording.telemetry import Telemetry

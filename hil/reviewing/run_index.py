@@ -165,7 +165,7 @@ def _state(folder: Path, metadata: Mapping[str, str], summary: Mapping[str, Any]
     except BadInput as error:
         return RunState.LATER_FORMAT, f"format {metadata['format']}: expected {error.expected}"
     if not summary:
-        if is_locked(folder / RESERVE_FILE):  # by who records, servobench.hil.recording.run_folder
+        if is_locked(folder / RESERVE_FILE):  # by who records, servobench.hil.recording.run_metadata
             return RunState.RECORDING, ""
         return RunState.NO_SUMMARY, f"its recorder did not live to its end: hil recover {folder}"
     if not records.is_file():

@@ -28,7 +28,7 @@ DIRECTIONS_FILE = "frames.directions"
 DIRECTION_BYTES = 2
 """Bytes of such a line."""
 INDEX_FILE = "frames.index"
-"""Index of the frames on which others depend; see :mod:`servobench.hil.rows.frames_index`."""
+"""Index of the frames on which others depend; see :mod:`servobench.hil.rows.frames_file`."""
 EVENTS_FILE = "events.jsonl"
 RECORDS_FILE = "records.arrow"
 """The rows of the cycles."""

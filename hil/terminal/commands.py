@@ -19,8 +19,7 @@ from typer import Abort, BadParameter, Exit
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command_name
 
-from servobench.drivers.errors import BenchError
-from servobench.drivers.printable import printable
+from servobench.drivers.errors import BenchError, printable
 from servobench.hil.machine.extras import missing_extra
 from servobench.hil.machine.parent_process import messages, tell_parent
 from servobench.hil.machine.refusals import explained, raised_by_own_code

@@ -193,7 +193,7 @@ def _design_dynamic(
 def _design_static(
     asked: SpeedDesignOptions, motor: "PmsmParameters", bandwidth_hz: float, network: "SampledNetwork | None"
 ) -> "DesignResult":
-    from servobench.design.delay.speed_loop import Feedback, gain_for_error
+    from servobench.design.delay.delay_loop import Feedback, gain_for_error
     from servobench.design.errors import DesignError
     from servobench.drivers.rotation import RAD_S_PER_RPM
     from servobench.hil.studies.speed.synthesis import (

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from servobench.drivers.errors import BadInput
-from servobench.hil.machine.shipped import docs_folder
+from servobench.hil.machine.extras import docs_folder
 
 _COMMENT = re.compile(r"^<!--.*?-->\n", re.MULTILINE | re.DOTALL)
 """What the tests of the documentation read."""

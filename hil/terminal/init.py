@@ -8,8 +8,7 @@ import typer
 
 from servobench.drivers.errors import BadInput
 from servobench.drivers.written_file import writing
-from servobench.hil.machine.extras import is_installed
-from servobench.hil.machine.shipped import examples_folder
+from servobench.hil.machine.extras import examples_folder, is_installed
 from servobench.hil.terminal.options import flag
 from servobench.hil.terminal.output import say, say_written
 

@@ -103,7 +103,7 @@ def _review_log(log: Path, bench: Path, report: Path | None, as_json: bool) -> N
     reviewed = review_log(log, load_bench(bench))
     put(reviewed.as_json(), as_json, lambda _figures: _print_log(reviewed))
     if report is not None:
-        from servobench.hil.recorded.log_report import write_log_report
+        from servobench.hil.recorded.report import write_log_report
 
         write_log_report(reviewed, report)
         say_written(report)
@@ -113,7 +113,7 @@ def _review_log(log: Path, bench: Path, report: Path | None, as_json: bool) -> N
 def _print_log(reviewed: "LogReview") -> None:
     from rich.console import Console
 
-    from servobench.hil.recorded.log_report import PDO_HEADS, limit_lines, pdo_rows, story_of, sync_lines
+    from servobench.hil.recorded.report import PDO_HEADS, limit_lines, pdo_rows, story_of, sync_lines
 
     console = Console(highlight=False)
     content = reviewed.content

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from servobench.drivers.printable import printable
+from servobench.drivers.errors import printable
 from servobench.hil.terminal.options import JsonOption, UnsealedOption, valued
 from servobench.hil.terminal.output import put, say, write_line
 

@@ -191,7 +191,7 @@ def _recorded(known: Known) -> Summary | None:
     if not known.get("recording"):
         return None
     from servobench.drivers.errors import BadInput
-    from servobench.hil.recording.run_folder import read_summary
+    from servobench.hil.recording.run_metadata import read_summary
 
     _await_end(known["logger"])
     try:

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from servobench.drivers.errors import BadInput
-from servobench.drivers.printable import printable
+from servobench.drivers.errors import BadInput, printable
 from servobench.hil.terminal.options import (
     JsonLinesOption,
     UnsealedOption,
@@ -24,8 +23,7 @@ from servobench.hil.terminal.output import note_seal, say, write_line
 from servobench.hil.terminal.supervision import is_read
 
 if TYPE_CHECKING:
-    from servobench.hil.reviewing.trace.frame_columns import FrameColumns
-    from servobench.hil.reviewing.trace.log_frame import LogFrame
+    from servobench.hil.reviewing.trace.frame_columns import FrameColumns, LogFrame
     from servobench.hil.reviewing.trace.node_objects import SheetFile
     from servobench.hil.reviewing.trace.run_trace import RecordedBus
     from servobench.hil.reviewing.trace.trace_entry import TraceEntry, TraceSelection

@@ -19,7 +19,7 @@ from servobench.drivers.cia402.profile import State
 from servobench.drivers.errors import BenchError
 from servobench.drivers.timebase import NS_PER_S
 from servobench.hil.configuration.config import BenchConfig
-from servobench.hil.recording.run_folder import read_summary
+from servobench.hil.recording.run_metadata import read_summary
 from servobench.hil.recording.run_recorder import MemoryRecorder
 from servobench.hil.rows.events import event_json, read_events
 from servobench.hil.rows.records import Rows

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 from servobench.drivers.canopen.cob_ids import ERROR_CONTROL, SDO_ANSWER, SDO_REQUEST, frame_name
 from servobench.drivers.canopen.pdo import PdoDirection, PdoPlan
+from servobench.drivers.cia402.drive_setup import with_observed
 from servobench.drivers.cia402.objects402 import Object
-from servobench.drivers.cia402.observed import with_observed
 from servobench.drivers.cia402.pdo_planner import plan_pdos
 from servobench.drivers.cia402.pdo_plans import Features, PlanWish
 from servobench.drivers.cia402.profile import BENCH_MODES

@@ -57,7 +57,7 @@ class SpeedError:
 
 @dataclass(frozen=True, slots=True)
 class StepResponse:
-    """Worst step and axis (:mod:`servobench.hil.reviewing.step_response`); None: no step, or one that did not
+    """Worst step and axis (:mod:`servobench.hil.reviewing.review`); None: no step, or one that did not
     settle."""
 
     settling_time_ms: float | None = None

@@ -7,20 +7,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from servobench.design.delay.speed_loop import model_of
+from servobench.design.delay.delay_loop import model_of
 from servobench.design.errors import DesignError
 from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
 from servobench.design.sampled.jump_loop import Remembering
 from servobench.design.sampled.varying_delay import DelayRange
-from servobench.design.speed.conditioned import conditioned
-from servobench.design.speed.fused_filter import FusedWalks, fused_filter, rounding
+from servobench.design.speed.fused_design import FusedWalks, fused_filter, rounding
 from servobench.design.speed.fused_loop import FusedLoop
 from servobench.design.speed.hinf_design import HinfWeights, design_controller
-from servobench.design.speed.hinf_loop import HinfLoop
+from servobench.design.speed.hinf_loop import HinfLoop, conditioned
 from servobench.design.speed.predictor_design import PredictorRequest
-from servobench.design.speed.predictor_loop import Prediction, PredictorLoop
+from servobench.design.speed.predictor_loop import Prediction, PredictorLoop, Walks
 from servobench.design.speed.predictor_plant import encoder_noise_rad_s
-from servobench.design.speed.predictor_trial import Walks
 from servobench.design.speed.random_loops import RandomFused, RandomHeld, RandomHinf, RandomPredictor
 from tests.motors import LING
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from servobench.design.delay.speed_loop import speed_model
+from servobench.design.delay.delay_loop import speed_model
 from servobench.design.sampled.analysis import analyse_loop, with_peak
 from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
 from tests.motors import LING

@@ -10,16 +10,15 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from servobench.design.delay.certificate import certified_gain
+from servobench.design.delay.delay_loop import Units
 from servobench.design.delay.delay_norm import hinf_norm
-from servobench.design.delay.speed_loop import Units
 from servobench.design.papers.as_printed import theorem_3_3
 from servobench.design.papers.ling2012 import DELAY_S, MODEL, MOTOR, PERIOD_S, TABLE_2, TAU_S, K, table2_row
-from servobench.design.sampled.analysis import regular_patterns
+from servobench.design.sampled.analysis import regular_patterns, worst_peak
 from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
 from servobench.design.sampled.loss_patterns import worst_gain
 from servobench.design.sampled.peak_certificate import certify_peak
 from servobench.design.sampled.sequence_certificate import certify_decay, certify_gain
-from servobench.design.sampled.worst_peak import worst_peak
 from servobench.design.speed.monte_carlo import Chance, run_many
 from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from tests.benchmarks.bench_hub_cycle import cpu_s

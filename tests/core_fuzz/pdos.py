@@ -4,7 +4,7 @@ import gc
 import random
 from typing import Any
 
-from servobench.drivers.canopen.data_types import BITS, DataType
+from servobench.drivers.canopen.objects301 import BITS, DataType
 from servobench.virtual_bus.core.native import PdoCodec
 from servobench.virtual_bus.device.object_dictionary import Variable
 from servobench.virtual_bus.device.pdo_codec import Field, compiled

@@ -57,9 +57,9 @@ from servobench.virtual_bus.core.native import (
     wire_bits,
 )
 from servobench.virtual_bus.drive.encoder import SpeedMethod, SpeedSensing
-from servobench.virtual_bus.drive.field import FieldOptions
 from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
-from servobench.virtual_bus.drive.load_table import LoadTable
+from servobench.virtual_bus.drive.load_object import LoadTable
+from servobench.virtual_bus.drive.mechanism import FieldOptions
 from servobench.virtual_bus.drive.power_stage import Inverter
 from servobench.virtual_bus.frame import Frame
 from tests.core_fuzz.devices import devices

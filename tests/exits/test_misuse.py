@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from servobench.hil.recording.run_folder import read_summary
+from servobench.hil.recording.run_metadata import read_summary
 from servobench.hil.terminal.run_object import read_back
 from servobench.virtual_bus.child_python import python_command
 from tests.exits.misused_hooks import __file__ as hooks

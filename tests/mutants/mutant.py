@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from servobench.drivers.errors import BadInput
-from servobench.drivers.printable import printable
+from servobench.drivers.errors import BadInput, printable
 from servobench.hil.configuration.config_files import BadInputs, bad_inputs_of
 
 PROCESSOR_S_MAX: Final = 2.0

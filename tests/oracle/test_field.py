@@ -19,8 +19,8 @@ from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_S, Instant
 from servobench.hil.configuration.bench_file import Bench
 from servobench.hil.configuration.motor_file import LING2012, load_motor
-from servobench.virtual_bus.drive.field import FieldOptions
 from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
+from servobench.virtual_bus.drive.mechanism import FieldOptions
 from tests.scenario.processes import EXAMPLES
 
 AZAIZ = load_motor(EXAMPLES / "motors" / "azaiz2007.toml").parameters

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from servobench.design.hinf.plant import GeneralisedPlant
+from servobench.design.hinf.mixed_sensitivity import GeneralisedPlant
 from servobench.design.hinf.synthesis import gamma_min, synthesise, verified_norm
 from servobench.design.statespace import StateSpace
 from tests.unit.design.hinf_plants import random_plant

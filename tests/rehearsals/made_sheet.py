@@ -4,7 +4,7 @@ import configparser
 import io
 from collections.abc import Iterable, Mapping
 
-from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.canopen.objects301 import DataType
 from servobench.virtual_bus.device.communication_objects import export_eds
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from tests.motors import LING

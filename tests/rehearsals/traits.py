@@ -7,7 +7,7 @@ commissioned, if with steps left out or failed in ``without``.
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final, NamedTuple
 
-from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.canopen.objects301 import DataType
 from servobench.drivers.cia402.profile import Mode, supported_mode_bit
 from tests.rehearsals.made_sheet import MadeSheet
 

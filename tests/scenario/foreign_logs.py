@@ -10,7 +10,7 @@ import can
 from can.io.trc import TRCFileVersion
 
 from servobench.drivers.lean_can import mf4_reader
-from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.frame_columns import LogFrame
 
 Frames = Sequence[LogFrame]
 SLL_HEAD, SLL2_HEAD = pack(">HHH8sH", 4, 280, 0, b"", 0x0C), pack(">HHIHBB8s", 0x0C, 0, 3, 280, 4, 0, b"")

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import pytest
 
-from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.canopen.objects301 import DataType
 from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.configuration.motor_file import LING2012, load_motor
 from servobench.virtual_bus.drive.servo import SimulatedServo

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from typer.testing import CliRunner
 
+from servobench.design.delay.delay_loop import speed_model
 from servobench.design.delay.delay_norm import hinf_norm
-from servobench.design.delay.speed_loop import speed_model
 from servobench.drivers.bounded_file import read_toml
 from servobench.hil.cli import app
 from servobench.hil.configuration.bench_file import bench_from, load_controller

@@ -10,7 +10,7 @@ import pytest
 
 from servobench.hil.reviewing.trace.bus_log import BusLog
 from servobench.hil.reviewing.trace.decoder import decode
-from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.frame_columns import LogFrame
 from tests.canopen_session import session
 from tests.scenario.foreign_logs import FOREIGN, ForeignLog, capture
 from tests.scenario.test_trace_witnesses import Dissected, compared, dissected

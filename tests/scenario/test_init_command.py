@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from servobench.hil.cli import app
-from servobench.hil.machine.shipped import examples_folder
+from servobench.hil.machine.extras import examples_folder
 from servobench.hil.terminal.init import FIRST
 from tests.scenario.processes import quiet_environment
 
@@ -66,7 +66,7 @@ def test_every_example_is_written(tmp_path: Path) -> None:
 def test_a_wheel_has_the_examples_within(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     installed = tmp_path / "site"
     shutil.copytree(examples_folder() / FIRST, installed / "hil" / "examples" / FIRST)
-    monkeypatch.setattr("servobench.hil.machine.shipped.ROOT", installed)
+    monkeypatch.setattr("servobench.hil.machine.extras.ROOT", installed)
     assert examples_folder() == installed / "hil" / "examples"
     monkeypatch.chdir(tmp_path)
     assert _init("here")[0] == 0

@@ -21,7 +21,7 @@ from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from servobench.hil.cli import app
 from servobench.hil.configuration.bench_file import load_bench
 from servobench.hil.rows import seal as seals
-from servobench.hil.rows.frames_index import indexed_batches, read_index
+from servobench.hil.rows.frames_file import indexed_batches, read_index
 from servobench.hil.rows.seal import read_seal, sealed_line
 from tests.unit.hil.recorded_runs import BENCH, short_run
 

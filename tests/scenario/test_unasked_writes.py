@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from servobench.drivers.canopen.bus_scan import BusScan
-from servobench.drivers.canopen.data_types import DataType
 from servobench.drivers.canopen.error_codes import ErrorRegister
 from servobench.drivers.canopen.network import CanopenNetwork
 from servobench.drivers.canopen.objects import SettingRefused
+from servobench.drivers.canopen.objects301 import DataType
 from servobench.drivers.canopen.write_list import NOTHING, WriteList
 from servobench.drivers.cia402.motion import MoveProfile
 from servobench.drivers.cia402.profile import Mode

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from servobench.hil.cli import app
 from servobench.hil.configuration.bench_file import load_bench
 from servobench.hil.configuration.config_files import toml_text
-from servobench.hil.recording.run_folder import read_summary
+from servobench.hil.recording.run_metadata import read_summary
 from servobench.hil.testing.run import Run
 from tests.scenario.test_lost_samples_certified import bench
 

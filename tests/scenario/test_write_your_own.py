@@ -176,7 +176,7 @@ from servobench.virtual_bus.bus.judge import LOST
 from servobench.virtual_bus.faults.fault_injector import FaultInjector
 from servobench.virtual_bus.faults.fault_log import FaultLog, entry_line, read_line
 from servobench.virtual_bus.faults.fault_plan import load_fault_plan, read_fault_plan
-from servobench.virtual_bus.faults.replay import RecordedFaults, ReplayedFates
+from servobench.virtual_bus.faults.fates import RecordedFaults, ReplayedFates
 
 AT = (0, 400, 900, 2_000, 2_100, 9_000)
 

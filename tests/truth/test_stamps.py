@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import pytest
 
-from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.canopen.objects301 import DataType
 from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.execution.bench import run_bench
 from tests.rehearsals.made_sheet import MadeSheet

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from servobench.drivers.canopen.cob_ids import EMERGENCY, SDO_ANSWER, SDO_REQUEST, SYNC
-from servobench.drivers.canopen.data_types import DataType
 from servobench.drivers.canopen.objects301 import (
     MANDATORY,
     MANUFACTURER,
@@ -18,6 +17,7 @@ from servobench.drivers.canopen.objects301 import (
     TPDO_COMMUNICATION,
     TPDO_MAPPING,
     Cia301,
+    DataType,
 )
 from servobench.drivers.sheets.eds.types import TEXT_TYPES
 from servobench.virtual_bus.device.device_options import DeviceOptions, PdoDefault

@@ -13,9 +13,8 @@ from collections.abc import Callable, Iterator
 from enum import Enum, IntEnum
 from typing import Any, Final
 
-from servobench.drivers.canopen.data_types import BITS, DataType
-from servobench.virtual_bus.device.encoding import decode, encode
-from servobench.virtual_bus.device.sdo_abort import AbortCode, SdoAbort
+from servobench.drivers.canopen.objects301 import BITS, DataType
+from servobench.virtual_bus.device.sdo_abort import AbortCode, SdoAbort, decode, encode
 
 
 class Access(Enum):

@@ -21,9 +21,8 @@ from typing import Protocol
 from servobench.drivers.bounded_file import NoSuchFile, parse_json, read_text
 from servobench.drivers.canopen.objects301 import FIRST_OBJECT, Cia301
 from servobench.drivers.errors import BadInput, BenchError
-from servobench.virtual_bus.device.encoding import decode, encode
 from servobench.virtual_bus.device.object_dictionary import Check, ObjectDictionary, Variable
-from servobench.virtual_bus.device.sdo_abort import AbortCode, SdoAbort
+from servobench.virtual_bus.device.sdo_abort import AbortCode, SdoAbort, decode, encode
 
 SAVE = int.from_bytes(b"save", "little")
 LOAD = int.from_bytes(b"load", "little")

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Final
 
-from servobench.drivers.canopen.data_types import REAL_BITS, SIGNED_BITS
+from servobench.drivers.canopen.objects301 import REAL_BITS, SIGNED_BITS
 from servobench.virtual_bus.core.native import GAP, REAL, SIGNED, UNSIGNED, PdoCodec
 from servobench.virtual_bus.device.object_dictionary import ObjectDictionary, Variable
 from servobench.virtual_bus.device.sdo_abort import AbortCode, SdoAbort

@@ -29,9 +29,8 @@ from servobench.drivers.canopen.cob_ids import SDO_ANSWER, SDO_REQUEST
 from servobench.drivers.canopen.nmt_states import NmtState
 from servobench.drivers.canopen.objects301 import SDO_SERVER
 from servobench.drivers.timebase import NS_PER_MS, Instant
-from servobench.virtual_bus.device.encoding import byte_length
 from servobench.virtual_bus.device.object_dictionary import Variable
-from servobench.virtual_bus.device.sdo_abort import AbortCode, SdoAbort
+from servobench.virtual_bus.device.sdo_abort import AbortCode, SdoAbort, byte_length
 from servobench.virtual_bus.device.station import Station
 from servobench.virtual_bus.frame import Frame
 

@@ -17,10 +17,17 @@ from typing import Any
 
 import canopen.objectdictionary as od
 
-from servobench.drivers.canopen.data_types import BITS, REAL_BITS, SIGNED_BITS, DataType
-from servobench.drivers.canopen.objects301 import FIRST_OBJECT, MANUFACTURER, PDO_PARAMETERS, Cia301
+from servobench.drivers.canopen.objects301 import (
+    BITS,
+    FIRST_OBJECT,
+    MANUFACTURER,
+    PDO_PARAMETERS,
+    REAL_BITS,
+    SIGNED_BITS,
+    Cia301,
+    DataType,
+)
 from servobench.drivers.sheets.dictionary import held_by, told_identity
-from servobench.virtual_bus.device.encoding import encode
 from servobench.virtual_bus.device.object_dictionary import (
     Access,
     DictionaryObject,
@@ -28,6 +35,7 @@ from servobench.virtual_bus.device.object_dictionary import (
     ObjectDictionary,
     Variable,
 )
+from servobench.virtual_bus.device.sdo_abort import encode
 
 BASE_NODE_ID = 1
 """The node-ID to load the file with; it is taken off the defaults again that depend on it."""

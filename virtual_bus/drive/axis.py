@@ -18,15 +18,15 @@ from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.virtual_bus.drive.failures import FOLLOWING_ERROR
 from servobench.virtual_bus.drive.firmware import Firmware, InnerControl
 from servobench.virtual_bus.drive.machine import SimulatedMachine
-from servobench.virtual_bus.drive.motion_objects import (
+from servobench.virtual_bus.drive.servo_objects import (
     HIGHEST,
     LOWEST,
     NO_WINDOW,
     UNLIMITED,
     MotionObjects,
+    ServoObjects,
     VelocityRamp,
 )
-from servobench.virtual_bus.drive.servo_objects import ServoObjects
 from servobench.virtual_bus.drive.set_point_path import SetPointFilter
 from servobench.virtual_bus.drive.trajectory import MoveLimits
 from servobench.virtual_bus.drive.user_units import UserUnits

@@ -1,4 +1,7 @@
-"""A current controller in state space, given to the inner loops of the core."""
+"""A current controller in state space, given to the inner loops of the core.
+
+How fast the simulated drive's current loops are if nothing else is asked for.
+"""
 
 from typing import Final
 
@@ -49,3 +52,13 @@ def take_back_gain(controller: StateSpace) -> NDArray[np.float64]:
     noise = max(float(controller.D[0, 0]) ** 2, float((c @ controller.B)[0, 0]) ** 2, 1e-12)
     p = solve_discrete_are(a.T, c.T, controller.B @ controller.B.T, np.array([[noise]]))
     return np.asarray(a @ p @ c.T / (c @ p @ c.T + noise), dtype=float)
+
+
+INNER_RATE_OVER_BANDWIDTH: Final = 20
+"""PI loops that sample twenty times faster than their bandwidth, with 1.5 periods of delay, keep a phase
+margin of 90 - 360 * 1.5 / 20 = 63 degrees."""
+
+
+def current_bandwidth_hz(asked_hz: float | None, inner_rate_hz: int) -> float:
+    """Return the bandwidth of the PI current loops, Hz; ``asked_hz`` None: default for ``inner_rate_hz``."""
+    return inner_rate_hz / INNER_RATE_OVER_BANDWIDTH if asked_hz is None else asked_hz

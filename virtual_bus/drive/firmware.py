@@ -22,8 +22,11 @@ from servobench.design.motor import Heat, PmsmParameters
 from servobench.design.statespace import StateSpace
 from servobench.drivers.timebase import NS_PER_S, Instant
 from servobench.virtual_bus.core.native import InnerLoops
-from servobench.virtual_bus.drive.current_bandwidth import current_bandwidth_hz
-from servobench.virtual_bus.drive.current_controller import check_controller, fill_controllers
+from servobench.virtual_bus.drive.current_controller import (
+    check_controller,
+    current_bandwidth_hz,
+    fill_controllers,
+)
 from servobench.virtual_bus.drive.damage import Damage
 from servobench.virtual_bus.drive.encoder import (
     BY_DIFFERENCE,
@@ -33,15 +36,16 @@ from servobench.virtual_bus.drive.encoder import (
     count_rad_s,
     fill_encoder,
 )
-from servobench.virtual_bus.drive.field import (
+from servobench.virtual_bus.drive.load_object import LoadTable
+from servobench.virtual_bus.drive.mechanism import (
     NO_FIELD,
     FieldOptions,
     fill_field,
+    fill_mechanism,
     speed_without_load_rad_s,
+    steps_in,
     torque_limit_nm,
 )
-from servobench.virtual_bus.drive.load_table import LoadTable
-from servobench.virtual_bus.drive.mechanism import fill_mechanism, steps_in
 from servobench.virtual_bus.drive.power_stage import (
     IDEAL_INVERTER,
     CurrentSensors,

@@ -11,7 +11,7 @@ has closed, before it switches off.
 from enum import IntEnum
 from typing import Final
 
-from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.canopen.objects301 import DataType
 from servobench.drivers.cia402.objects402 import Object
 from servobench.virtual_bus.core.native import InnerLoops
 from servobench.virtual_bus.device.object_dictionary import Access, ObjectDictionary

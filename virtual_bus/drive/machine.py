@@ -21,7 +21,7 @@ from functools import partial
 from typing import Any, Final
 
 from servobench.design.mechanism import Mechanism, Switches
-from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.canopen.objects301 import DataType
 from servobench.drivers.cia402.objects402 import INTERLOCK, Object
 from servobench.virtual_bus.core.native import InnerLoops, clipped
 from servobench.virtual_bus.device.object_dictionary import Access, ObjectDictionary

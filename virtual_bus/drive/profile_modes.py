@@ -23,8 +23,8 @@ from typing import Final
 
 from servobench.drivers.cia402.profile import CHANGE_AT_ONCE, NEW_SET_POINT, RELATIVE, Status
 from servobench.virtual_bus.drive.axis import SimulatedAxis, WindowTimer
-from servobench.virtual_bus.drive.motion_objects import NO_WINDOW
 from servobench.virtual_bus.drive.operation_mode import HaltedMode
+from servobench.virtual_bus.drive.servo_objects import NO_WINDOW
 from servobench.virtual_bus.drive.trajectory import MoveLimits, plan_move, plan_speed, plan_stop
 
 CHANGE_ON_SET_POINT: Final = 1 << 9

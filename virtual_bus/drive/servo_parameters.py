@@ -24,10 +24,9 @@ from servobench.virtual_bus.device.device_options import (
     unmapped_rpdos,
     unmapped_tpdos,
 )
-from servobench.virtual_bus.drive.field import speed_without_load_rad_s
 from servobench.virtual_bus.drive.firmware import FirmwareParameters
-from servobench.virtual_bus.drive.load_object import SIMULATED_DRIVE
-from servobench.virtual_bus.drive.load_table import LoadTable
+from servobench.virtual_bus.drive.load_object import SIMULATED_DRIVE, LoadTable
+from servobench.virtual_bus.drive.mechanism import speed_without_load_rad_s
 
 SERVO_DRIVE: Final = 0x0002_0192
 """Device type 1000h: device profile 402, servo drive (CiA 402-1)."""

@@ -5,8 +5,7 @@ from servobench.virtual_bus.core.native import CyclicDrive
 from servobench.virtual_bus.device.sdo_abort import AbortCode
 from servobench.virtual_bus.drive.actual_values import LOAD_NM
 from servobench.virtual_bus.drive.firmware import Firmware
-from servobench.virtual_bus.drive.load_object import LoadCourse
-from servobench.virtual_bus.drive.load_table import LoadTable
+from servobench.virtual_bus.drive.load_object import LoadCourse, LoadTable
 from servobench.virtual_bus.drive.servo_objects import ServoObjects
 
 

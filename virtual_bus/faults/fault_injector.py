@@ -18,13 +18,12 @@ from servobench.drivers.wire.identifiers import EXTENDED_FLAG, STANDARD_ID_MAX
 from servobench.virtual_bus.bus.bit_length import frame_bits
 from servobench.virtual_bus.bus.disturbance import Disturbance
 from servobench.virtual_bus.bus.judge import Direction
-from servobench.virtual_bus.faults.fates import FateSource, Route
+from servobench.virtual_bus.faults.fates import FateSource, RecordedFaults, Route
 from servobench.virtual_bus.faults.fault_log import KIND_CODES, FaultLog
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
 from servobench.virtual_bus.faults.fault_streams import UniformStream
 from servobench.virtual_bus.faults.frame_fault import FrameFault, Hold, NumberedStrike, Strike, node_of
 from servobench.virtual_bus.faults.kinds.corruption import ERROR_FRAME, Corruption
-from servobench.virtual_bus.faults.replay import RecordedFaults
 from servobench.virtual_bus.frame import Frame
 
 _ERROR_FRAME = KIND_CODES[ERROR_FRAME]

@@ -5,12 +5,12 @@ from functools import partial
 from heapq import merge
 
 from servobench.drivers.timebase import NEVER, Duration
+from servobench.virtual_bus.faults.fates import RecordedFaults
 from servobench.virtual_bus.faults.fault_log import FRAME_KINDS
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
 from servobench.virtual_bus.faults.fault_streams import uniform_stream
 from servobench.virtual_bus.faults.node_fault import NodeEvent, NodeFault, Slowness
 from servobench.virtual_bus.faults.register import LOG_KINDS, TABLE_OF
-from servobench.virtual_bus.faults.replay import RecordedFaults
 
 
 class Events:

@@ -15,6 +15,7 @@ from servobench.drivers.wire.frame_port import FramePort, Trouble, WireFrame
 from servobench.drivers.wire.link import StampSource
 from servobench.drivers.wire.message import frame_of
 from servobench.drivers.wire.message_port import MessagePort
+from servobench.virtual_bus.faults.fates import RecordedFaults
 from servobench.virtual_bus.faults.fault_log import KIND_CODES, FaultLog
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
 from servobench.virtual_bus.faults.fault_streams import uniform_stream
@@ -23,7 +24,6 @@ from servobench.virtual_bus.faults.kinds.link_down import LinkDown
 from servobench.virtual_bus.faults.kinds.receive_overflow import ReceiveOverflow
 from servobench.virtual_bus.faults.node_fault import AdapterOutage, NodeEvent
 from servobench.virtual_bus.faults.node_faults import Events
-from servobench.virtual_bus.faults.replay import RecordedFaults
 
 KINDS: dict[str, type[AdapterOutage]] = {kind.kind: kind for kind in (FullQueue, LinkDown, ReceiveOverflow)}
 

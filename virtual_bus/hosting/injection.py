@@ -13,7 +13,7 @@ from functools import partial
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import Duration, Instant
 from servobench.virtual_bus.device.canopen_device import CanopenDevice
-from servobench.virtual_bus.faults.fates import FateSource
+from servobench.virtual_bus.faults.fates import FateSource, RecordedFaults, ReplayedFates
 from servobench.virtual_bus.faults.fault_injector import Disturber, FaultInjector, disturber
 from servobench.virtual_bus.faults.fault_log import KIND_CODES, FaultLog
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
@@ -24,7 +24,6 @@ from servobench.virtual_bus.faults.mangler import DrawnSignals, Mangler, Replaye
 from servobench.virtual_bus.faults.node_faults import DrawnNode, Events, node_source
 from servobench.virtual_bus.faults.outage_bus import KINDS as OUTAGES
 from servobench.virtual_bus.faults.outage_bus import Outages
-from servobench.virtual_bus.faults.replay import RecordedFaults, ReplayedFates
 from servobench.virtual_bus.hosting.faulty_device import FaultyDevice
 
 _STALL = KIND_CODES[HostStall.kind]

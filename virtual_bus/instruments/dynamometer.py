@@ -1,10 +1,10 @@
 """A Magtrol dynamometer controller without I/O: commands in, data strings out, and behind it a hysteresis
 brake on a simulated shaft, with the loop that holds its torque.
 
-Sources as in :mod:`servobench.drivers.instruments.magtrol`. Commands end with CR LF; what is not understood
-is counted, as the real instrument shows it on its display, and is not answered. Of the command set: *IDN?,
-OD, Q, MODE; of a DSP7000 with the number of the channel. The data string has a fixed length: six digits of
-speed (a DSP6001: five), five characters of torque with its point, the direction.
+Sources as in :mod:`servobench.drivers.instruments.dynamometer`. Commands end with CR LF; what is not
+understood is counted, as the real instrument shows it on its display, and is not answered. Of the command
+set: *IDN?, OD, Q, MODE; of a DSP7000 with the number of the channel. The data string has a fixed length: six
+digits of speed (a DSP6001: five), five characters of torque with its point, the direction.
 
 An emulated dynamometer at work: on a timeline in simulated time, or at a pseudo-terminal.
 """

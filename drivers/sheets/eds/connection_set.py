@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping
 from typing import Final
 
 from servobench.drivers.canopen.cob_ids import CAN_ID, EMERGENCY, NOT_VALID, RPDOS, TPDOS
-from servobench.drivers.canopen.data_types import DataType
 from servobench.drivers.canopen.objects301 import (
     MAPPING_OFFSET,
     PDO_ENTRIES_MAX,
@@ -16,6 +15,7 @@ from servobench.drivers.canopen.objects301 import (
     RPDO_COMMUNICATION,
     TPDO_COMMUNICATION,
     Cia301,
+    DataType,
 )
 from servobench.drivers.sheets.eds import types
 from servobench.drivers.sheets.eds.entries import Entry, Value

@@ -8,15 +8,17 @@ import struct
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from servobench.drivers.canopen.data_types import (
+from servobench.drivers.canopen.objects301 import (
     BITS,
     REAL_BITS,
     SIGNED_BITS,
     TIME_BITS,
     UNSIGNED_BITS,
+    Cia301,
     DataType,
+    is_communication,
+    is_mapping,
 )
-from servobench.drivers.canopen.objects301 import Cia301, is_communication, is_mapping
 from servobench.drivers.cia402.profile import DRIVE_PROFILE
 from servobench.drivers.sheets.eds import types
 from servobench.drivers.sheets.eds.numbers import (

@@ -11,8 +11,7 @@ from typing import Any, cast
 import canopen.objectdictionary as od
 
 from servobench.drivers.canopen.cob_ids import EXTENDED, NO_RTR, NOT_VALID
-from servobench.drivers.canopen.data_types import DataType
-from servobench.drivers.canopen.objects301 import FIRST_OBJECT
+from servobench.drivers.canopen.objects301 import FIRST_OBJECT, DataType
 from servobench.drivers.sheets.eds import types
 from servobench.drivers.sheets.eds.entries import Entry, EntryReader, Place, Scalar, Value, read_value
 from servobench.drivers.sheets.eds.information import Commissioning, DeviceInformation

@@ -5,7 +5,7 @@ import re
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from servobench.drivers.printable import printable
+from servobench.drivers.errors import printable
 from servobench.drivers.sheets.eds.numbers import Spelled, integer
 from servobench.drivers.sheets.eds.text import RepairLog
 

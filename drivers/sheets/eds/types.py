@@ -5,8 +5,14 @@ CiA 301 clause 7.5.2, CiA 402-2.
 
 import re
 
-from servobench.drivers.canopen.data_types import SIGNED_BITS, UNSIGNED_BITS, DataType
-from servobench.drivers.canopen.objects301 import Cia301, is_communication, is_mapping
+from servobench.drivers.canopen.objects301 import (
+    SIGNED_BITS,
+    UNSIGNED_BITS,
+    Cia301,
+    DataType,
+    is_communication,
+    is_mapping,
+)
 
 TEXT_TYPES = (DataType.VISIBLE_STRING, DataType.UNICODE_STRING)
 BYTE_TYPES = (DataType.OCTET_STRING, DataType.DOMAIN)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 from xml.parsers import expat
 
-from servobench.drivers.printable import printable
+from servobench.drivers.errors import printable
 from servobench.drivers.sheets.eds.sections import COMMISSIONING, EdsSection, Option, Sections, section_name
 from servobench.drivers.sheets.eds.text import RepairLog
 

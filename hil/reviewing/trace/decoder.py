@@ -27,8 +27,7 @@ from servobench.drivers.canopen.objects301 import PDO_PARAMETERS, Cia301, object
 from servobench.drivers.canopen.sdo import abort_text
 from servobench.drivers.timebase import Instant
 from servobench.drivers.wire.error_frames import error_frame_text
-from servobench.hil.reviewing.trace.frame_columns import EVER_NS
-from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.frame_columns import EVER_NS, LogFrame
 from servobench.hil.reviewing.trace.node_objects import KnownNodes, NodeObjects
 from servobench.hil.reviewing.trace.object_value import ObjectValue
 from servobench.hil.reviewing.trace.pdo_book import PdoBook, PdoLayout

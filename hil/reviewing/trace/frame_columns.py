@@ -1,4 +1,7 @@
-"""frames.arrow of a recording as a stream of frames: all, or a window with what that rests on."""
+"""frames.arrow of a recording as a stream of frames: all, or a window with what that rests on.
+
+A frame as a log has it.
+"""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -9,19 +12,44 @@ from numpy.typing import NDArray
 
 from servobench.drivers.timebase import NS_PER_MS
 from servobench.drivers.wire.identifiers import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_ID_MAX, REMOTE_FLAG
-from servobench.hil.reviewing.trace.log_frame import LogFrame
-from servobench.hil.rows.frames_file import FrameBatch, read_batches, read_interfaces
-from servobench.hil.rows.frames_index import (
+from servobench.hil.rows.frames_file import (
     BATCH,
     INDEX_DTYPE,
+    FrameBatch,
     FramesIndex,
     indexed_batches,
     needed_before,
     needed_behind,
+    read_batches,
     read_index,
+    read_interfaces,
 )
 from servobench.hil.rows.records_file import is_whole
 from servobench.hil.rows.run_files import FRAMES_FILE
+
+CLASSICAL_BYTES_MAX: Final = 8
+FD_BYTES_MAX: Final = 64
+
+
+class LogFrame(NamedTuple):
+    """One frame of a log or of a live bus."""
+
+    number: int
+    """Line or packet of the log, from 1 on."""
+    at_ns: int | None
+    """Time as the log counts; None where it has no times."""
+    channel: str
+    """Name of the interface; empty if the log does not tell it."""
+    can_id: int
+    """11 or 29 bits, without flags; of an error frame its class bits (linux/can/error.h)."""
+    data: bytes
+    extended: bool = False
+    remote: bool = False
+    error: bool = False
+    fd: bool = False
+    sent: str = ""
+    """T: sent by who wrote the log, R: received by it; empty if it does not tell."""
+
 
 EVER_NS: Final = 1 << 62
 """Behind every frame of every log."""

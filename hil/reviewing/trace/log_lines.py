@@ -40,9 +40,16 @@ from numpy.typing import NDArray
 from servobench.drivers.lean_can import mf4_reader
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US
 from servobench.drivers.wire.identifiers import ERROR_FLAG, EXTENDED_ID_MAX, STANDARD_ID_MAX
-from servobench.hil.reviewing.trace.frame_columns import MARGIN_NS, Hold, LogWindow, held_against_nothing
-from servobench.hil.reviewing.trace.log_frame import CLASSICAL_BYTES_MAX, FD_BYTES_MAX, LogFrame
-from servobench.hil.rows.frames_index import TellingFrames
+from servobench.hil.reviewing.trace.frame_columns import (
+    CLASSICAL_BYTES_MAX,
+    FD_BYTES_MAX,
+    MARGIN_NS,
+    Hold,
+    LogFrame,
+    LogWindow,
+    held_against_nothing,
+)
+from servobench.hil.rows.frames_file import TellingFrames
 
 if TYPE_CHECKING:
     from can import Message

@@ -5,9 +5,8 @@ import struct
 from dataclasses import dataclass
 from typing import Any, Final
 
-from servobench.drivers.canopen.data_types import REAL_BITS, SIGNED_BITS, UNSIGNED_BITS, DataType
-from servobench.drivers.canopen.objects301 import object_name
-from servobench.drivers.printable import printable
+from servobench.drivers.canopen.objects301 import REAL_BITS, SIGNED_BITS, UNSIGNED_BITS, DataType, object_name
+from servobench.drivers.errors import printable
 from servobench.drivers.sheets.eds.types import BYTE_TYPES, TEXT_TYPES
 
 Number = int | float

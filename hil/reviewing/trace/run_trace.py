@@ -17,10 +17,10 @@ from servobench.hil.reviewing.trace.bus_log import BusLog
 from servobench.hil.reviewing.trace.frame_columns import (
     FrameColumns,
     Hold,
+    LogFrame,
     LogWindow,
     held_against_nothing,
 )
-from servobench.hil.reviewing.trace.log_frame import LogFrame
 from servobench.hil.reviewing.trace.node_objects import KnownNodes, NodeKey, SheetFile
 from servobench.hil.rows.records_file import read_metadata, refuse_later_format
 from servobench.hil.rows.run_files import (

@@ -8,7 +8,7 @@ from binascii import crc_hqx
 from dataclasses import dataclass, field
 from typing import Final
 
-from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.frame_columns import LogFrame
 
 KEPT_MAX: Final = 1 << 20
 """Bytes of a transfer that are kept, so that no log fills the memory; a firmware file may be longer."""

@@ -15,7 +15,7 @@ from servobench.design.mechanism import Coupling, cogging_nm, friction_nm, speed
 from servobench.design.motor import PmsmParameters, speed_limit, torque_limit
 from servobench.drivers.rotation import RAD_S_PER_RPM, RPM_PER_RAD_S
 from servobench.hil.studies.drawing import picture
-from servobench.virtual_bus.drive.field import NO_FIELD, FieldOptions
+from servobench.virtual_bus.drive.mechanism import NO_FIELD, FieldOptions
 
 _PANEL = (7.0, 4.2)
 """Width and height of each, inches."""

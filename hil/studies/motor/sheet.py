@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from servobench.design.data_sheet import DataSheet, InconsistentSheet, at_temperature, of_phase
-from servobench.design.flux_constants import CONVENTIONS
+from servobench.design.motor import CONVENTIONS
 from servobench.drivers.errors import MISSING, BadInput
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.hil.configuration.config_files import BadInputs, toml_text

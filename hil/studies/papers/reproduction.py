@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from servobench.design.delay.speed_loop import Units
+from servobench.design.delay.delay_loop import Units
 from servobench.design.motor import PmsmParameters
 from servobench.design.papers.ling2012 import (
     BANDS,
@@ -47,7 +47,7 @@ from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.timebase import NS_PER_S
 from servobench.hil.configuration.bench_file import load_bench
 from servobench.hil.execution.bench import run_bench
-from servobench.hil.machine.shipped import examples_folder
+from servobench.hil.machine.extras import examples_folder
 from servobench.hil.machine.stopping import Interrupted
 from servobench.hil.rows.records_file import read_records
 from servobench.hil.rows.run_files import RECORDS_FILE

@@ -16,11 +16,10 @@ from servobench.design.delay.certificate import (
     certified_gain,
     certified_gain_auto,
 )
-from servobench.design.delay.delay_loop import Array, DelayLoop
+from servobench.design.delay.delay_loop import Array, DelayLoop, SpeedModel, peak_floor_rad_s, speed_model
 from servobench.design.delay.delay_norm import hinf_norm, hinf_peak, largest_stable_delay_s
 from servobench.design.delay.delay_response import step_peak
 from servobench.design.delay.lmi import SOLVED, SOLVER
-from servobench.design.delay.speed_loop import SpeedModel, peak_floor_rad_s, speed_model
 from servobench.design.errors import NoSolution
 from servobench.design.motor import PmsmParameters
 from servobench.design.papers.as_printed import theorem_3_1, theorem_3_3

@@ -29,10 +29,9 @@ from servobench.design.speed.predictor_design import (
     losses_gain,
     predictor_robustness,
 )
-from servobench.design.speed.predictor_loop import PredictorLoop
+from servobench.design.speed.predictor_loop import PredictorLoop, Walks
 from servobench.design.speed.predictor_peaks import predictor_peak
 from servobench.design.speed.predictor_plant import encoder_noise_rad_s
-from servobench.design.speed.predictor_trial import Walks
 from servobench.design.speed.random_loops import RandomHinf
 from servobench.design.speed.speed_robustness import LoopRobustness
 from servobench.drivers.timebase import US_PER_S

@@ -14,8 +14,8 @@ from servobench.design.speed.fused_design import (
     design_fused,
     fused_losses,
     fused_robustness,
+    rounding,
 )
-from servobench.design.speed.fused_filter import rounding
 from servobench.design.speed.predictor_design import PredictorRequest
 from servobench.design.speed.random_loops import RandomFused
 from servobench.drivers.timebase import US_PER_S

@@ -7,17 +7,21 @@ from typing import Any
 
 import numpy as np
 
-from servobench.design.delay.speed_loop import model_of
-from servobench.design.sampled.exceedance import exceedance
+from servobench.design.delay.delay_loop import model_of
 from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
-from servobench.design.sampled.jump_loop import WITHIN, JumpLoop, Moments, Remembering
-from servobench.design.sampled.random_losses import LossyLink, fates_of
-from servobench.design.speed.conditioned import Conditioned
+from servobench.design.sampled.jump_loop import (
+    WITHIN,
+    JumpLoop,
+    LossyLink,
+    Moments,
+    Remembering,
+    exceedance,
+    fates_of,
+)
 from servobench.design.speed.fused_loop import FusedLoop
-from servobench.design.speed.hinf_loop import HinfLoop
-from servobench.design.speed.predictor_loop import Prediction, PredictorLoop
+from servobench.design.speed.hinf_loop import Conditioned, HinfLoop
+from servobench.design.speed.predictor_loop import Prediction, PredictorLoop, Walks
 from servobench.design.speed.predictor_plant import PredictorPlant, kalman_model
-from servobench.design.speed.predictor_trial import Walks
 from servobench.design.speed.random_loops import RandomFused, RandomHeld, RandomHinf, RandomPredictor
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import US_PER_S

@@ -7,9 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from servobench.design.delay.certificate import CertifiedGain, certified_gain, certified_gain_auto
-from servobench.design.delay.delay_norm import hinf_norm
-from servobench.design.delay.lmi import SOLVED, SOLVER
-from servobench.design.delay.speed_loop import (
+from servobench.design.delay.delay_loop import (
     Feedback,
     SpeedModel,
     current_rate_rad_s,
@@ -17,6 +15,8 @@ from servobench.design.delay.speed_loop import (
     percent_of_speed,
     speed_model,
 )
+from servobench.design.delay.delay_norm import hinf_norm
+from servobench.design.delay.lmi import SOLVED, SOLVER
 from servobench.design.errors import DesignError, NoSolution
 from servobench.design.motor import PmsmParameters
 from servobench.design.sampled.analysis import SampledAnalysis, analyse_sampled, with_peak

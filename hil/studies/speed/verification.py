@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from servobench.design.speed.predictor_gains import GainBoxes
+from servobench.design.speed.predictor_loop import Walks
 from servobench.design.speed.predictor_plant import PredictorPlant, kalman_model, of_state
-from servobench.design.speed.predictor_trial import Walks
 from servobench.design.verify.digest import digest_of
 from servobench.design.verify.file import claims_of, table_of
 from servobench.drivers.errors import BadInput

@@ -3,7 +3,7 @@
 import numpy as np
 import scipy.stats
 
-from servobench.design.hinf.plant import GeneralisedPlant
+from servobench.design.hinf.mixed_sensitivity import GeneralisedPlant
 from servobench.design.statespace import StateSpace, to_bilinear
 
 

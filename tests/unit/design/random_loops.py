@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from servobench.design.delay.certificate import certified_gain
+from servobench.design.delay.delay_loop import speed_model
 from servobench.design.delay.delay_norm import hinf_norm, largest_stable_delay_s
-from servobench.design.delay.speed_loop import speed_model
 from servobench.design.errors import NoSolution
 from servobench.design.sampled.analysis import analyse_sampled
 from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy

@@ -6,12 +6,11 @@ import numpy as np
 from scipy.linalg import expm
 
 from servobench.design.sampled.admissible_steps import families, node_count
-from servobench.design.sampled.analysis import regular_patterns
+from servobench.design.sampled.analysis import regular_patterns, worst_peak
 from servobench.design.sampled.held_loop import HeldLoop
 from servobench.design.sampled.loss_patterns import pattern_gains, slowest_pattern
 from servobench.design.sampled.peak_certificate import certify_peak
 from servobench.design.sampled.sequence_certificate import certify_decay
-from servobench.design.sampled.worst_peak import worst_peak
 from tests.unit.design.random_loops import random_loop
 
 

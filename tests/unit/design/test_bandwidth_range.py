@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from servobench.design.delay.delay_loop import SpeedModel, speed_model
 from servobench.design.delay.delay_norm import hinf_norm
-from servobench.design.delay.speed_loop import SpeedModel, speed_model
 from servobench.design.sampled.analysis import analyse_sampled, regular_patterns
 from servobench.design.sampled.bandwidth_range import (
     BandwidthRange,

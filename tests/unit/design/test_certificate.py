@@ -17,9 +17,9 @@ from servobench.design.delay.certificate import (
     proved,
     scaled,
 )
+from servobench.design.delay.delay_loop import speed_model
 from servobench.design.delay.delay_norm import hinf_norm, largest_stable_delay_s, rough_norm
 from servobench.design.delay.lmi import solve
-from servobench.design.delay.speed_loop import speed_model
 from servobench.design.errors import NoSolution
 from servobench.design.papers.as_printed import theorem_3_1, theorem_3_3
 from tests.motors import AZAIZ, LING

@@ -9,10 +9,12 @@ import pytest
 from numpy.typing import NDArray
 
 from servobench.design.data_sheet import DataSheet, at_temperature, of_phase
-from servobench.design.flux_constants import CONVENTIONS, emf_constant, figure
 from servobench.design.motor import (
+    CONVENTIONS,
     PmsmParameters,
     Transform,
+    emf_constant,
+    figure,
     motor_figures,
     phase_emf_constant,
     speed_limit,

@@ -8,7 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from servobench.design.delay.delay_loop import DelayLoop
+from servobench.design.delay.delay_loop import (
+    DelayLoop,
+    Feedback,
+    Units,
+    gain_for_error,
+    peak_floor_rad_s,
+    percent_of_speed,
+    speed_model,
+)
 from servobench.design.delay.delay_norm import (
     first_delay_beyond_s,
     hinf_norm,
@@ -16,14 +24,6 @@ from servobench.design.delay.delay_norm import (
     is_stable,
     largest_stable_delay_s,
     norm_between,
-)
-from servobench.design.delay.speed_loop import (
-    Feedback,
-    Units,
-    gain_for_error,
-    peak_floor_rad_s,
-    percent_of_speed,
-    speed_model,
 )
 from tests.motors import AZAIZ, LING
 from tests.unit.design.delay_oracles import generator_abscissa, magnitudes, random_loop

@@ -9,10 +9,9 @@ from hypothesis import strategies as st
 from scipy.signal import StateSpace as ScipySystem
 from scipy.signal import step
 
-from servobench.design.delay.delay_loop import Array, DelayLoop
+from servobench.design.delay.delay_loop import Array, DelayLoop, peak_floor_rad_s
 from servobench.design.delay.delay_norm import largest_stable_delay_s
 from servobench.design.delay.delay_response import respond, step_peak
-from servobench.design.delay.speed_loop import peak_floor_rad_s
 from servobench.design.papers.ling2012 import DELAY_S, MODEL, MOTOR, K, load_pulse
 
 STEPS = 800

@@ -13,11 +13,13 @@ from servobench.design.speed.fused_design import (
     PHASES,
     FusedDesign,
     FusedRequest,
+    FusedWalks,
     design_fused,
+    fused_filter,
     fused_losses,
     fused_robustness,
+    rounding,
 )
-from servobench.design.speed.fused_filter import FusedWalks, fused_filter, rounding
 from servobench.design.speed.fused_loop import FusedLoop
 from servobench.design.speed.predictor_design import PredictorRequest
 from servobench.design.speed.predictor_loop import Prediction

@@ -11,13 +11,13 @@ from servobench.design.errors import InfeasibleDesign, SingularPlant
 from servobench.design.hinf import synthesis
 from servobench.design.hinf.feasibility import evaluated
 from servobench.design.hinf.mixed_sensitivity import (
+    GeneralisedPlant,
     Weight,
     Weights,
     axis_plant,
     error_weight,
     mixed_sensitivity,
 )
-from servobench.design.hinf.plant import GeneralisedPlant
 from servobench.design.hinf.riccati import NoRiccatiSolution, RiccatiSolution, stabilising_solution
 from servobench.design.hinf.synthesis import gamma_min, synthesise, verified_norm
 from servobench.design.papers.azaiz2007 import MOTOR

@@ -13,7 +13,6 @@ from scipy.optimize import OptimizeResult
 from servobench.design.delay.delay_loop import Array
 from servobench.design.errors import InfeasibleDesign
 from servobench.design.papers.ling2012 import MOTOR
-from servobench.design.speed.conditioned import Conditioned, conditioned, truncated
 from servobench.design.speed.hinf_design import (
     HinfDesign,
     HinfWeights,
@@ -23,7 +22,7 @@ from servobench.design.speed.hinf_design import (
     sampled_uncertainty,
     shaft_of,
 )
-from servobench.design.speed.hinf_loop import HinfLoop
+from servobench.design.speed.hinf_loop import Conditioned, HinfLoop, conditioned, truncated
 from servobench.design.speed.predictor_design import PredictorRequest
 from servobench.design.speed.predictor_plant import encoder_noise_rad_s, plant_of
 from servobench.design.statespace import state_space

@@ -7,7 +7,7 @@ import pytest
 
 from servobench.design.errors import NoSolution, SingularPlant
 from servobench.design.hinf import synthesis
-from servobench.design.hinf.plant import GeneralisedPlant
+from servobench.design.hinf.mixed_sensitivity import GeneralisedPlant
 from servobench.design.hinf.riccati import RiccatiSolution, stabilising_solution
 from servobench.design.hinf.synthesis import gamma_min, synthesise, verified_norm
 from servobench.design.hinf.system_norm import hinf_norm, norm_is_below

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from servobench.design.delay.speed_loop import Units
+from servobench.design.delay.delay_loop import Units
 from servobench.design.papers.ling2012 import (
     DISAGREEMENTS,
     MOTOR,

@@ -9,9 +9,8 @@ import pytest
 
 from servobench.design.delay.delay_loop import Array
 from servobench.design.sampled.analysis import SampledAnalysis
-from servobench.design.sampled.held_loop import PeriodStep, Switch
+from servobench.design.sampled.held_loop import LossyLoop, PeriodStep, Switch
 from servobench.design.sampled.lifting import lifted_gain
-from servobench.design.sampled.lossy_loop import LossyLoop
 from servobench.design.speed.hinf_design import HinfDesign, design_hinf
 from servobench.design.speed.loss_certificate import (
     hinf_losses,
@@ -23,7 +22,7 @@ from servobench.design.speed.loss_certificate import (
 )
 from servobench.design.speed.predictor_design import PredictorDesign, losses_gain, samples_gain
 from servobench.design.speed.predictor_gains import GainBoxes
-from servobench.design.speed.predictor_trial import AdaptiveFilter, Walks, load_step
+from servobench.design.speed.predictor_loop import AdaptiveFilter, Walks, load_step
 from servobench.hil.control.load_filter import FilterNoise, LoadFilter
 from servobench.hil.studies.speed.dynamic import loss_certificate, loss_figures
 from tests.unit.design.test_predictor import KALMAN, NOISE_RAD_S, PERIOD_S, PLANT, REQUEST

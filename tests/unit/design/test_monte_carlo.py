@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from servobench.design.delay.speed_loop import speed_model
+from servobench.design.delay.delay_loop import speed_model
 from servobench.design.errors import UnsuitableNetwork
 from servobench.design.sampled.held_loop import SampledNetwork, Strategy
 from servobench.design.speed.monte_carlo import Chance, diverged, quantile, run_many, share

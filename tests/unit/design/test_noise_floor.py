@@ -8,7 +8,7 @@ import pytest
 
 from servobench.design.delay.delay_loop import Array
 from servobench.design.speed.predictor_design import PredictorDesign
-from servobench.design.speed.predictor_trial import AdaptiveFilter, Walks, load_step
+from servobench.design.speed.predictor_loop import AdaptiveFilter, Walks, load_step
 from tests.noise_floor import NoisyStep
 from tests.unit.design.test_predictor import NOISE_RAD_S, PLANT, REQUEST
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from servobench.design.delay.speed_loop import speed_model
+from servobench.design.delay.delay_loop import speed_model
 from servobench.design.sampled.analysis import SampledAnalysis, analyse_loop, with_peak
 from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
 from tests.benchmarks.attack_peaks import attack, drawn_loop

@@ -16,9 +16,16 @@ from servobench.design.speed.predictor_design import (
     losses_gain,
     predictor_robustness,
 )
-from servobench.design.speed.predictor_loop import Prediction, PredictorLoop, delay_margin_s
+from servobench.design.speed.predictor_loop import (
+    STEP_SIGMAS,
+    AdaptiveFilter,
+    Prediction,
+    PredictorLoop,
+    Walks,
+    delay_margin_s,
+    load_step,
+)
 from servobench.design.speed.predictor_plant import READ, encoder_noise_rad_s, kalman_model, plant_of
-from servobench.design.speed.predictor_trial import STEP_SIGMAS, AdaptiveFilter, Walks, load_step
 from servobench.hil.control import load_filter
 from servobench.hil.control.load_filter import FilterNoise, LoadFilter
 from servobench.virtual_bus.drive.firmware import FirmwareParameters

@@ -7,11 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from servobench.design.delay.speed_loop import model_of
-from servobench.design.sampled.exceedance import exceedance
+from servobench.design.delay.delay_loop import model_of
 from servobench.design.sampled.held_loop import HeldLoop, PeriodStep, SampledNetwork, Strategy, Switch
-from servobench.design.sampled.jump_loop import JumpLoop
-from servobench.design.sampled.random_losses import LossyLink, fates_of
+from servobench.design.sampled.jump_loop import JumpLoop, LossyLink, exceedance, fates_of
 from servobench.design.speed.random_loops import RandomHeld
 from servobench.hil.configuration.bench_file import load_controller
 from servobench.hil.configuration.predicting_controllers import FusedController

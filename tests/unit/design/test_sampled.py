@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.signal import cont2discrete
 
+from servobench.design.delay.delay_loop import SpeedModel, speed_model
 from servobench.design.delay.delay_norm import hinf_norm
-from servobench.design.delay.speed_loop import SpeedModel, speed_model
 from servobench.design.errors import UnsuitableNetwork
 from servobench.design.sampled.admissible_steps import Delivery, Family, families, steps_of
 from servobench.design.sampled.analysis import SampledAnalysis, analyse_sampled, regular_patterns

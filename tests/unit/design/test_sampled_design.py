@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from servobench.design.delay.speed_loop import Feedback
+from servobench.design.delay.delay_loop import Feedback
 from servobench.design.errors import NoSolution
 from servobench.design.papers.ling2012 import MODEL
 from servobench.design.sampled.analysis import analyse_sampled, regular_patterns

@@ -7,8 +7,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from servobench.design.delay.delay_loop import speed_model
 from servobench.design.delay.lmi import LmiProblem, MatrixInequality, Unknowns
-from servobench.design.delay.speed_loop import speed_model
 from servobench.design.sampled import sequence_certificate
 from servobench.design.sampled.analysis import analyse_sampled, regular_patterns
 from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy

@@ -12,7 +12,7 @@ from dataclasses import replace
 import pytest
 
 from servobench.design.data_sheet import readings
-from servobench.design.flux_constants import CONVENTIONS, figure
+from servobench.design.motor import CONVENTIONS, figure
 from servobench.design.sheet_figures import FIELDS, SheetFigures
 
 RPM = math.pi / 30.0

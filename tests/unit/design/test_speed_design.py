@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from servobench.design.delay.certificate import certified_gain
+from servobench.design.delay.delay_loop import Feedback, speed_model
 from servobench.design.delay.delay_norm import hinf_norm, is_stable
-from servobench.design.delay.speed_loop import Feedback, speed_model
 from servobench.design.errors import NoSolution
 from servobench.design.motor import PmsmParameters
 from servobench.design.speed.cone_complementarity import largest_ccl_delay

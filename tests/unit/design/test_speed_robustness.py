@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from servobench.design.delay.delay_loop import SpeedModel, speed_model
 from servobench.design.delay.delay_norm import is_stable
-from servobench.design.delay.speed_loop import SpeedModel, speed_model
 from servobench.design.motor import PmsmParameters
 from servobench.design.sampled.admissible_steps import Delivery
 from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy

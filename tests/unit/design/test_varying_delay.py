@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from servobench.design.delay.speed_loop import SpeedModel, model_of
+from servobench.design.delay.delay_loop import SpeedModel, model_of
 from servobench.design.errors import NoSolution
-from servobench.design.sampled.peak_tree import covered
+from servobench.design.sampled.peak_steps import covered
 from servobench.design.sampled.varying_delay import DelayRange, begins
 
 PERIOD_S = 1e-3

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from servobench.design.delay.delay_loop import speed_model
 from servobench.design.delay.delay_response import step_peak
-from servobench.design.delay.speed_loop import speed_model
+from servobench.design.sampled.analysis import worst_peak
 from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
-from servobench.design.sampled.worst_peak import worst_peak
 from servobench.design.speed.monte_carlo import Chance, run_many
 from tests.motors import LING
 from tests.unit.design.random_peaks import peaks_of

@@ -19,8 +19,7 @@ from servobench.drivers.bounded_file import (
     read_text,
     read_toml,
 )
-from servobench.drivers.errors import BadInput
-from servobench.drivers.printable import printable
+from servobench.drivers.errors import BadInput, printable
 from servobench.drivers.sheets.dictionary import load_dictionary, parse_dictionary
 from servobench.drivers.written_file import write_file, writing
 from tests.mutants.mutant import PROCESSOR_S_MAX, processor_s

@@ -6,8 +6,13 @@ from itertools import chain, repeat
 import pytest
 
 from servobench.drivers.errors import NoAnswer, PeerFault
-from servobench.drivers.instruments.dynamometer import ATTEMPTS_MAX, Dynamometer, DynamometerSettings
-from servobench.drivers.instruments.magtrol import TORQUE_UNITS_NM, dialect
+from servobench.drivers.instruments.dynamometer import (
+    ATTEMPTS_MAX,
+    TORQUE_UNITS_NM,
+    Dynamometer,
+    DynamometerSettings,
+    dialect,
+)
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from servobench.drivers.wire.serial_line import LineFull, LineGone

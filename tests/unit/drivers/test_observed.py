@@ -5,7 +5,7 @@ import random
 import pytest
 
 from servobench.drivers.canopen.pdo import PdoDirection, PdoEntry, PdoMap, PdoPlan
-from servobench.drivers.cia402.observed import NUMBERS, Observed, with_observed
+from servobench.drivers.cia402.drive_setup import NUMBERS, Observed, with_observed
 
 SIZES = {"b": 8, "h": 16, "i": 32, "q": 64}
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from servobench.drivers.canopen.owed import ANSWER_LATE_MAX, Owed, OwedAnswers
+from servobench.drivers.canopen.sdo import ANSWER_LATE_MAX, Owed, OwedAnswers
 from servobench.drivers.timebase import Instant
 
 DUE_MAX = 8

@@ -2,7 +2,7 @@
 
 import pytest
 
-from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.canopen.objects301 import DataType
 from servobench.drivers.sheets.eds import types
 from servobench.drivers.sheets.eds.types import standard_object_type, standard_type
 

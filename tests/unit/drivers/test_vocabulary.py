@@ -11,9 +11,9 @@ from canopen.objectdictionary import datatypes
 from canopen.profiles.p402 import OperationMode
 
 from servobench.drivers.canopen import cob_ids
-from servobench.drivers.canopen.data_types import REAL_BITS, SIGNED_BITS, UNSIGNED_BITS, DataType
 from servobench.drivers.canopen.error_codes import ErrorRegister
 from servobench.drivers.canopen.nmt_states import NmtCommand, NmtState
+from servobench.drivers.canopen.objects301 import REAL_BITS, SIGNED_BITS, UNSIGNED_BITS, DataType
 from servobench.drivers.cia402 import profile
 from servobench.drivers.cia402.objects402 import Object, Unit
 from tests.told import hold

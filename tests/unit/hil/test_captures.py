@@ -5,8 +5,8 @@ from struct import pack
 
 import pytest
 
-from servobench.hil.reviewing.trace.capture_file import BrokenCapture, OtherPacket, capture_packets
-from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.bus_log import BrokenCapture, OtherPacket, capture_packets
+from servobench.hil.reviewing.trace.frame_columns import LogFrame
 
 SECOND = 1_000_000_000
 ORDERS = ("<", ">")

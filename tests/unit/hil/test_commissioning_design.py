@@ -11,10 +11,10 @@ import pytest
 from servobench.drivers.cia402.pdo_planner import mode_plan
 from servobench.drivers.cia402.pdo_plans import PlanWish
 from servobench.drivers.timebase import NS_PER_MS, Duration
+from servobench.hil.commissioning.excitation import Resonance
 from servobench.hil.commissioning.findings import StepOutcome
 from servobench.hil.commissioning.identify import Mechanics
 from servobench.hil.commissioning.request import Nameplate, PlateRating
-from servobench.hil.commissioning.resonance import Resonance
 from servobench.hil.commissioning.steps_design import Suggest
 from tests.unit.hil.simulated_shaft import LIMITS, Shaft, request_of, session_of
 

@@ -11,9 +11,14 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from servobench.design.mechanism import Coupling, Mechanism
-from servobench.hil.commissioning.excitation import FrequencyResponse, frequency_response, multisine
+from servobench.hil.commissioning.excitation import (
+    FrequencyResponse,
+    closer_lines_hz,
+    frequency_response,
+    multisine,
+    resonance_of,
+)
 from servobench.hil.commissioning.findings import StepVerdict
-from servobench.hil.commissioning.resonance import closer_lines_hz, resonance_of
 from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from servobench.virtual_bus.drive.unknown_drive import unknown_drive
 from tests.commissioning import unknown_world

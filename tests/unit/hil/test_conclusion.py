@@ -11,11 +11,11 @@ from servobench.hil.configuration.config import LoopConfig
 from servobench.hil.execution.conclusion import Conclusion, named_emergencies
 from servobench.hil.loop.loop import LoopOutcome
 from servobench.hil.verdict.verdict import VerdictKind
+from servobench.virtual_bus.faults.fates import RecordedFaults
 from servobench.virtual_bus.faults.fault_log import KINDS, FaultEntry
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
 from servobench.virtual_bus.faults.kinds.bus_off import BusOff
 from servobench.virtual_bus.faults.kinds.drive_fault import DriveFailure, DriveFault
-from servobench.virtual_bus.faults.replay import RecordedFaults
 from servobench.virtual_bus.hosting.injection import Faults
 from tests.fates import keys
 

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from servobench.drivers.errors import BadInput
-from servobench.drivers.printable import printable
+from servobench.drivers.errors import BadInput, printable
 from servobench.hil.configuration.bench_file import bench_from
 from servobench.hil.configuration.config_files import BadInputs, bad_inputs_of, toml_text
 from tests.unit.hil.test_toml_text import VALUES

@@ -8,7 +8,7 @@ import pytest
 from servobench.drivers.errors import BadInput
 from servobench.hil.campaign.store import plan_in
 from servobench.hil.recorded.commissioning_page import commissioning_page
-from servobench.hil.recording.run_folder import read_summary
+from servobench.hil.recording.run_metadata import read_summary
 
 READERS: dict[str, Callable[[Path], object]] = {
     "figures.json": commissioning_page,

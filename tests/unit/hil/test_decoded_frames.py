@@ -7,7 +7,7 @@ import pytest
 
 from servobench.drivers.cia402.scaling import ScaleOverride
 from servobench.hil.reviewing.trace.decoder import BusDecoder, decode
-from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.frame_columns import LogFrame
 from servobench.hil.reviewing.trace.node_objects import KnownNodes, SheetFile
 from servobench.hil.reviewing.trace.object_value import ObjectValue
 from servobench.hil.reviewing.trace.trace_entry import TraceEntry

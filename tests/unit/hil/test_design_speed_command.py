@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from typer.testing import Result
 
-from servobench.design.delay.speed_loop import Feedback, gain_for_error
+from servobench.design.delay.delay_loop import Feedback, gain_for_error
 from servobench.design.errors import DesignError
 from servobench.design.sampled.held_loop import SampledNetwork, Strategy
 from servobench.drivers.rotation import RAD_S_PER_RPM

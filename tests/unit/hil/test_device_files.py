@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from servobench.design.motor import PmsmParameters
-from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.canopen.objects301 import DataType
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import Instant
 from servobench.hil.execution.device_files import DeviceFiles

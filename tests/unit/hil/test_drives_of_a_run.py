@@ -6,8 +6,7 @@ from typing import Any, Final, cast
 
 import pytest
 
-from servobench.drivers.cia402.drive_setup import DriveSettings, Identity
-from servobench.drivers.cia402.observed import Observed
+from servobench.drivers.cia402.drive_setup import DriveSettings, Identity, Observed
 from servobench.drivers.cia402.profile import Mode, QuickStopOption
 from servobench.drivers.cia402.servo import ServoDrive
 from servobench.drivers.errors import BadInput, NoAnswer, PeerFault

@@ -13,8 +13,8 @@ from servobench.design.sampled.held_loop import SampledNetwork, Strategy
 from servobench.design.sampled.peak_steps import PeakBound
 from servobench.design.speed.hinf_design import HinfDesign
 from servobench.design.speed.predictor_design import PredictorDesign
+from servobench.design.speed.predictor_loop import Walks
 from servobench.design.speed.predictor_plant import encoder_noise_rad_s
-from servobench.design.speed.predictor_trial import Walks
 from servobench.design.speed.speed_robustness import LoopRobustness
 from servobench.hil.configuration.controller_files import CurrentLoop
 from servobench.hil.configuration.motor_file import LING2012

@@ -10,7 +10,7 @@ import pytest
 
 from servobench.drivers.errors import BadInput
 from servobench.hil.recording.append_file import AppendFile, Tail, read_tail
-from servobench.hil.recording.run_folder import Reserve, read_summary, write_summary
+from servobench.hil.recording.run_metadata import Reserve, read_summary, write_summary
 from tests.unit.hil.test_summary import summary_with
 
 DTYPE: Final = np.dtype([("at", "<i8"), ("value", "<u4")])

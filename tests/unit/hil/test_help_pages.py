@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from servobench.drivers.compiled import ROOMS
 from servobench.hil.cli import app
-from servobench.hil.machine.shipped import docs_folder
+from servobench.hil.machine.extras import docs_folder
 from tests.told import ROOT
 
 _PAGE = re.compile(r"(?:see |full: |\(|; )hil docs ([a-z-]+)")

@@ -32,7 +32,7 @@ from servobench.hil.execution.simulated_drives import (
     simulated_drives,
 )
 from servobench.hil.execution.world import WorldPlan
-from servobench.virtual_bus.drive.load_table import LoadTable
+from servobench.virtual_bus.drive.load_object import LoadTable
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from servobench.virtual_bus.drive.unknown_drive import unknown_drive

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from servobench.design.flux_constants import CONVENTIONS
+from servobench.design.motor import CONVENTIONS
 from servobench.hil.cli import app
 from servobench.hil.commissioning.findings import StepRecord, StepVerdict
 from servobench.hil.commissioning.report import Commissioned

@@ -12,7 +12,7 @@ from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 from servobench.hil.loop.cycle_record import NAMES
 from servobench.hil.recorded.recorded_run import RecordedRun, open_run, signals_of
-from servobench.hil.recording.run_folder import write_summary
+from servobench.hil.recording.run_metadata import write_summary
 from servobench.hil.recording.run_recorder import MemoryRecorder
 from servobench.hil.recording.sealer import Sealer
 from servobench.hil.rows.recording_plan import PlannedSetPoint

@@ -15,7 +15,7 @@ from servobench.drivers.wire.link import StampSource
 from servobench.hil.inspecting import live_trace
 from servobench.hil.inspecting.live_trace import live_frames
 from servobench.hil.inspecting.scanning import OpenedBus, ScanPlan
-from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.frame_columns import LogFrame
 from servobench.virtual_bus.bus.controller import ErrorState
 from servobench.virtual_bus.bus.hub import HubBus
 from servobench.virtual_bus.bus.hub_protocol import HubStatus

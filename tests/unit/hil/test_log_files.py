@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from servobench.hil.recording.keepers import open_keepers
 from servobench.hil.recording.log_files import FramesKeeper, RowBlocks
+from servobench.hil.recording.logger import open_keepers
 from servobench.hil.recording.page_keepers import LiveKeeper
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.records import ROW_DTYPE

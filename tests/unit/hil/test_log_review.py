@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from servobench.hil.cli import app
-from servobench.hil.reviewing.log_cycles import cyclic_pdo, sync_grid
+from servobench.hil.reviewing.log_content import cyclic_pdo, sync_grid
 from servobench.hil.reviewing.trace.bus_log import BusLog
 from servobench.hil.testing.bench_runs import BenchRunner
 from tests.recorded_frames import candump

@@ -12,7 +12,7 @@ from servobench.drivers.errors import BadInput
 from servobench.hil.cli import app
 from servobench.hil.configuration.config_files import BadInputs
 from servobench.hil.configuration.motor_file import LING2012, MotorFile, load_motor
-from servobench.virtual_bus.drive.field import NO_FIELD, speed_without_load_rad_s
+from servobench.virtual_bus.drive.mechanism import NO_FIELD, speed_without_load_rad_s
 
 EXAMPLES = Path(__file__).parents[3] / "examples" / "motors"
 

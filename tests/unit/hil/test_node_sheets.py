@@ -5,7 +5,7 @@ import math
 import pytest
 from canopen.objectdictionary import ODArray, ODVariable
 
-from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.canopen.objects301 import DataType
 from servobench.drivers.cia402.scaling import ScaleOverride
 from servobench.hil.reviewing.trace.node_objects import NodeObjects
 from tests.unit.hil.test_known_objects import sheet, variable

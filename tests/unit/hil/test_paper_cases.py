@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from servobench.design.delay.speed_loop import Units
+from servobench.design.delay.delay_loop import Units
 from servobench.design.papers.ling2012 import (
     DELAY_S,
     LOAD_NM,

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from canopen.objectdictionary import ObjectDictionary, ODVariable
 
-from servobench.drivers.canopen.data_types import BITS, REAL_BITS, DataType
+from servobench.drivers.canopen.objects301 import BITS, REAL_BITS, DataType
 from servobench.drivers.cia402.drive_setup import Identity
-from servobench.drivers.sheets.value_text import is_kept, value_text
+from servobench.drivers.sheets.dictionary import is_kept, value_text
 from servobench.hil.inspecting.parameters import (
     ParameterSet,
     configuration_text,

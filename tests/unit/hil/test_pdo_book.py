@@ -5,7 +5,7 @@ import struct
 
 import pytest
 
-from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.canopen.objects301 import DataType
 from servobench.hil.reviewing.trace.node_objects import NodeObjects
 from servobench.hil.reviewing.trace.pdo_book import MappedField, PdoBook, PdoLayout
 from tests.unit.hil.test_known_objects import sheet, variable

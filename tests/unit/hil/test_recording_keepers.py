@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.hil.recording.append_file import TAIL_FILE, read_tail
-from servobench.hil.recording.keepers import open_keepers
 from servobench.hil.recording.log_files import (
     EventsKeeper,
     Keeper,
@@ -20,6 +19,7 @@ from servobench.hil.recording.log_files import (
     RecordsKeeper,
     RowBlocks,
 )
+from servobench.hil.recording.logger import open_keepers
 from servobench.hil.recording.page_keepers import LiveKeeper, RerunKeeper
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.events import RunZero

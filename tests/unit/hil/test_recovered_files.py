@@ -18,11 +18,10 @@ from servobench.hil.configuration.network_file import load_network
 from servobench.hil.recording import rerun_anew
 from servobench.hil.recording.append_file import TAIL_FILE
 from servobench.hil.recording.log_files import EventsKeeper, FramesKeeper, RecordsKeeper
-from servobench.hil.recording.recovery import recover
+from servobench.hil.recording.recovery import Rings, first_cycle, recover, whole_records
 from servobench.hil.recording.ring import RingReader, RingWriter
-from servobench.hil.recording.run_folder import Reserve, read_summary
+from servobench.hil.recording.run_metadata import Reserve, read_summary
 from servobench.hil.recording.sealer import Sealer
-from servobench.hil.recording.whole_records import Rings, first_cycle, whole_records
 from servobench.hil.rows.events import BLOCK_DTYPE
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records import ROW_DTYPE, Rows

@@ -17,7 +17,7 @@ from servobench.hil.cli import app
 from servobench.hil.configuration.bench_file import load_bench
 from servobench.hil.recording import rerun_anew
 from servobench.hil.recording.log_files import EventsKeeper, RecordsKeeper
-from servobench.hil.recording.run_folder import Reserve
+from servobench.hil.recording.run_metadata import Reserve
 from servobench.hil.rows.records import ROW_DTYPE
 from servobench.hil.rows.records_file import read_records
 from servobench.hil.rows.side_rows import FRAME_DTYPE, BeginEvent, StateEvent

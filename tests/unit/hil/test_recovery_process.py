@@ -16,11 +16,10 @@ from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.hil.recording import rerun_anew
 from servobench.hil.recording.append_file import TAIL_FILE
 from servobench.hil.recording.log_files import FaultsKeeper
-from servobench.hil.recording.recovery import main, recover
+from servobench.hil.recording.recovery import Rings, main, recover, whole_records
 from servobench.hil.recording.ring import RingReader
-from servobench.hil.recording.run_folder import read_summary
+from servobench.hil.recording.run_metadata import read_summary
 from servobench.hil.recording.telemetry import Telemetry
-from servobench.hil.recording.whole_records import Rings, whole_records
 from servobench.hil.rows.events import BLOCK_DTYPE
 from servobench.hil.rows.recording_plan import ObservedDrive, RecordingPlan
 from servobench.hil.rows.records import ROW_DTYPE, Rows

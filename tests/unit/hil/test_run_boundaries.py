@@ -13,7 +13,7 @@ from servobench.drivers.cia402.profile import State
 from servobench.drivers.errors import BusDown
 from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.hil.loop.cycle_record import NOTHING
-from servobench.hil.recording.run_folder import write_summary
+from servobench.hil.recording.run_metadata import write_summary
 from servobench.hil.recording.sealer import Sealer
 from servobench.hil.rows.records import Rows
 from servobench.hil.rows.records_file import RecordsWriter

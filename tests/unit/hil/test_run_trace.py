@@ -8,7 +8,7 @@ import pytest
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import Instant
 from servobench.hil.reviewing.trace.decoder import decode
-from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.frame_columns import LogFrame
 from servobench.hil.reviewing.trace.run_trace import RecordedBus
 from servobench.hil.rows.records_file import RecordsWriter
 from servobench.hil.rows.run_files import DIRECTIONS_FILE, FIRST_CYCLE_EPOCH, FRAMES_LOG

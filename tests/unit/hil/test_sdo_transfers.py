@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.frame_columns import LogFrame
 from servobench.hil.reviewing.trace.sdo_transfer import KEPT_MAX, SdoChannel, SdoTransfer
 
 CHECK, CHECK_CRC = b"123456789", 0x31C3

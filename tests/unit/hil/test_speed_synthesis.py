@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from servobench.design.delay.certificate import CertifiedGain
+from servobench.design.delay.delay_loop import Feedback
 from servobench.design.delay.lmi import SOLVED, SOLVER
-from servobench.design.delay.speed_loop import Feedback
 from servobench.design.errors import NoSolution
 from servobench.design.sampled.bandwidth_range import BandwidthRange
 from servobench.design.sampled.held_loop import SampledNetwork

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from servobench.hil.reviewing.step_response import StepMeter, worst_steps
+from servobench.hil.reviewing.review import StepMeter, worst_steps
 from servobench.hil.rows.recording_plan import AxisPlan
 from servobench.hil.rows.records import Rows
 from servobench.hil.verdict.figures import StepResponse

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from servobench.design.flux_constants import CONVENTIONS
+from servobench.design.motor import CONVENTIONS
 from servobench.hil.commissioning.report import Commissioned, summary_of, write_report
 from servobench.hil.commissioning.request import CommissionRequest, Nameplate
 from servobench.virtual_bus.drive.unknown_drive import unknown_drive

@@ -14,7 +14,7 @@ from servobench.drivers.cia402.scaling import ScaleOverride
 from servobench.hil.cli import app
 from servobench.hil.reviewing.trace.bus_log import BusLog
 from servobench.hil.reviewing.trace.decoder import decode
-from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.frame_columns import LogFrame
 from servobench.hil.reviewing.trace.node_objects import KnownNodes, SheetFile
 from servobench.hil.reviewing.trace.sdo_transfer import KEPT_MAX
 from servobench.hil.reviewing.trace.trace_entry import TraceEntry

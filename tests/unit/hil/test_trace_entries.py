@@ -5,7 +5,7 @@ import struct
 
 import pytest
 
-from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.canopen.objects301 import DataType
 from servobench.hil.reviewing.trace.object_value import ObjectValue, value_of
 from servobench.hil.reviewing.trace.trace_entry import TraceEntry, TraceSelection
 

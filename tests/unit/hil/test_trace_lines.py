@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from servobench.hil.reviewing.trace import pdo_text
+from servobench.hil.reviewing.trace import pdo_book
 from servobench.hil.reviewing.trace.decoder import decode
 from servobench.hil.reviewing.trace.frame_columns import FrameColumns
 from servobench.hil.reviewing.trace.node_objects import KnownNodes, SheetFile
@@ -47,15 +47,15 @@ FLOATS = st.floats() | st.floats(-1e7, 1e7) | st.integers(-(10**8), 10**8).map(l
 
 @given(st.lists(INSTANTS, min_size=1))
 def test_times_are_rounded_as_python_rounds_them(ns: list[int]) -> None:
-    told = pdo_text.micro_seconds(np.array(ns, np.int64)).to_pylist()
+    told = pdo_book.micro_seconds(np.array(ns, np.int64)).to_pylist()
     assert told == [f"{each / 1e9:.6f}" for each in ns]
 
 
 @given(st.lists(FLOATS, min_size=1))
 def test_numbers_are_those_of_python(values: list[float]) -> None:
     column = np.array(values)
-    assert pdo_text.general(column).to_pylist() == [f"{each:.6g}" for each in values]
-    assert pdo_text.shortest(column).to_pylist() == [repr(each) for each in values]
+    assert pdo_book.general(column).to_pylist() == [f"{each:.6g}" for each in values]
+    assert pdo_book.shortest(column).to_pylist() == [repr(each) for each in values]
 
 
 def one_by_one(

@@ -8,7 +8,7 @@ import pytest
 
 from servobench.drivers.errors import BadInput
 from servobench.hil.reviewing.trace.bus_log import BusLog
-from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.frame_columns import LogFrame
 from servobench.hil.reviewing.trace.log_lines import frame_of_line
 
 AT = 1_436_509_052_249_713_000

@@ -20,7 +20,7 @@ from servobench.hil.cli import app
 from servobench.hil.recording.frame_files import FrameFiles
 from servobench.hil.reviewing.trace.bus_log import BusLog
 from servobench.hil.reviewing.trace.run_trace import RecordedBus
-from servobench.hil.rows.frames_index import INDEX_DTYPE, read_index
+from servobench.hil.rows.frames_file import INDEX_DTYPE, read_index
 from servobench.hil.rows.run_files import DIRECTIONS_FILE, FRAMES_LOG, INDEX_FILE
 from servobench.hil.rows.side_rows import FRAME_DTYPE, frame_row
 from tests.unit.hil.test_run_trace import recorded

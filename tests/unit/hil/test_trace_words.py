@@ -3,7 +3,7 @@
 import pytest
 
 from servobench.hil.reviewing.trace.decoder import decode
-from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.frame_columns import LogFrame
 
 
 def said(text: str, error: bool = False) -> str:

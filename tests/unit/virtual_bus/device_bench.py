@@ -4,10 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from servobench.drivers.canopen.cob_ids import NO_RTR
-from servobench.drivers.canopen.data_types import DataType
 from servobench.drivers.canopen.error_codes import ErrorRegister
 from servobench.drivers.canopen.nmt_states import NmtState
-from servobench.drivers.canopen.objects301 import mapping_word
+from servobench.drivers.canopen.objects301 import DataType, mapping_word
 from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.virtual_bus.device.application import Application, CommunicationLoss, DeviceServices
 from servobench.virtual_bus.device.canopen_device import CanopenDevice

@@ -9,12 +9,12 @@ from servobench.drivers.timebase import Instant
 from servobench.virtual_bus.bus.bit_length import frame_bits
 from servobench.virtual_bus.bus.port import Listener
 from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.faults.fates import RecordedFaults
 from servobench.virtual_bus.faults.fault_injector import Disturber, disturber
 from servobench.virtual_bus.faults.fault_log import FaultLog
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
 from servobench.virtual_bus.faults.kinds.corruption import Corruption
 from servobench.virtual_bus.faults.kinds.loss import Loss
-from servobench.virtual_bus.faults.replay import RecordedFaults
 from servobench.virtual_bus.frame import Frame
 from servobench.virtual_bus.timeline import Timeline
 from tests.fates import keys

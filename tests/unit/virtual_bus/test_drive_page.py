@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from servobench.design.mechanism import EndStops, Mechanism, PlacedLoad
-from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.canopen.objects301 import DataType
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode
 from servobench.virtual_bus.drive.homing_methods import HOMING_METHODS

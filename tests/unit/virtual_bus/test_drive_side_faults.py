@@ -15,6 +15,7 @@ from servobench.virtual_bus.bus.simulated_bus import SimulatedBus
 from servobench.virtual_bus.core.native import HELD_MAX
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.virtual_bus.faults.fates import RecordedFaults
 from servobench.virtual_bus.faults.fault_log import FaultLog, entry_line, read_line
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
 from servobench.virtual_bus.faults.frame_fault import FrameFault, Side
@@ -25,7 +26,6 @@ from servobench.virtual_bus.faults.kinds.duplicate import Duplicate
 from servobench.virtual_bus.faults.kinds.loss import Loss
 from servobench.virtual_bus.faults.kinds.reorder import Reorder
 from servobench.virtual_bus.faults.kinds.slow_drive import SlowDrive
-from servobench.virtual_bus.faults.replay import RecordedFaults
 from servobench.virtual_bus.frame import Frame
 from servobench.virtual_bus.hosting.devices import AttachedDevice
 from servobench.virtual_bus.hosting.faulty_device import FaultyDevice

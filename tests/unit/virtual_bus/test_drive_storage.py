@@ -7,10 +7,9 @@ import pytest
 
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.timebase import Instant
-from servobench.virtual_bus.device.encoding import decode, encode
 from servobench.virtual_bus.device.object_dictionary import Variable
 from servobench.virtual_bus.device.parameter_storage import SAVE, MemoryStore
-from servobench.virtual_bus.device.sdo_abort import SdoAbort
+from servobench.virtual_bus.device.sdo_abort import SdoAbort, decode, encode
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from tests.motors import LING
 

@@ -2,8 +2,7 @@
 
 import pytest
 
-from servobench.drivers.instruments.dynamometer import Dynamometer, DynamometerSettings
-from servobench.drivers.instruments.magtrol import dialect
+from servobench.drivers.instruments.dynamometer import Dynamometer, DynamometerSettings, dialect
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from servobench.hil.configuration.motor_file import LING2012
 from servobench.virtual_bus.bus.segment import CanSegment

@@ -11,7 +11,7 @@ from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import Duration, Instant
 from servobench.drivers.wire.identifiers import EXTENDED_FLAG
 from servobench.virtual_bus.bus.judge import Direction
-from servobench.virtual_bus.faults.fates import FateSource
+from servobench.virtual_bus.faults.fates import FateSource, RecordedFaults, ReplayedFates, read_recorded
 from servobench.virtual_bus.faults.fault_injector import FaultInjector
 from servobench.virtual_bus.faults.fault_log import (
     BLOCK_BYTES,
@@ -30,7 +30,6 @@ from servobench.virtual_bus.faults.kinds.blackout import Blackout
 from servobench.virtual_bus.faults.kinds.periodic_loss import PeriodicLoss
 from servobench.virtual_bus.faults.kinds.slow_drive import SlowDrive
 from servobench.virtual_bus.faults.node_faults import DrawnNode, ReplayedNode
-from servobench.virtual_bus.faults.replay import RecordedFaults, ReplayedFates, read_recorded
 from servobench.virtual_bus.frame import Frame
 from tests.fates import fate_of, keys
 from tests.unit.virtual_bus.test_faults import IN, MS, OUT, RPDO1, TPDO1, TPDO2, uniform

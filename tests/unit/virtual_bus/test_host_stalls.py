@@ -8,11 +8,11 @@ from scipy import stats
 
 from servobench.drivers.errors import MISSING, BadInput
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
+from servobench.virtual_bus.faults.fates import RecordedFaults
 from servobench.virtual_bus.faults.fault_log import FaultLog, entry_line, read_line
 from servobench.virtual_bus.faults.fault_plan import FaultPlan, load_fault_plan
 from servobench.virtual_bus.faults.kinds.host_stall import HostStall
 from servobench.virtual_bus.faults.kinds.loss import Loss
-from servobench.virtual_bus.faults.replay import RecordedFaults
 from servobench.virtual_bus.hosting.injection import Faults, Injection, refuse_misplaced
 
 ZERO = Instant(7 * NS_PER_S)

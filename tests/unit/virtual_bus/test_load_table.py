@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from servobench.drivers.timebase import NS_PER_S
 from servobench.virtual_bus.core.native import InnerLoops
-from servobench.virtual_bus.drive.load_table import LoadTable
+from servobench.virtual_bus.drive.load_object import LoadTable
 
 FloatArray = NDArray[np.float64]
 

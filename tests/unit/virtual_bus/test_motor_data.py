@@ -5,7 +5,7 @@ import math
 import pytest
 
 from servobench.design.motor import PmsmParameters
-from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.canopen.objects301 import DataType
 from servobench.drivers.vendors.families import motor_objects_for
 from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
 from servobench.virtual_bus.drive.data_sheet import motor_figures, tell_motor

@@ -8,11 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from servobench.drivers.canopen.data_types import BITS, SIGNED_BITS, DataType
+from servobench.drivers.canopen.objects301 import BITS, SIGNED_BITS, DataType
 from servobench.virtual_bus.device.communication_objects import export_eds
-from servobench.virtual_bus.device.encoding import decode, encode
 from servobench.virtual_bus.device.object_dictionary import Access, ObjectDictionary
-from servobench.virtual_bus.device.sdo_abort import AbortCode, SdoAbort
+from servobench.virtual_bus.device.sdo_abort import AbortCode, SdoAbort, decode, encode
 from tests.unit.virtual_bus.device_bench import NODE, TARGET, Bench
 
 EXAMPLES = settings(derandomize=True, deadline=None)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from servobench.drivers.canopen.data_types import BITS, SIGNED_BITS, DataType
+from servobench.drivers.canopen.objects301 import BITS, SIGNED_BITS, DataType
 from servobench.virtual_bus.core.native import SIGNED, PdoCodec
 from servobench.virtual_bus.device.object_dictionary import Variable
 from servobench.virtual_bus.device.pdo_codec import Field, compiled

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from servobench.drivers.timebase import NS_PER_S, Instant
 from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters
-from servobench.virtual_bus.drive.load_table import LoadTable
+from servobench.virtual_bus.drive.load_object import LoadTable
 from tests.motors import LING
 
 FloatArray = NDArray[np.float64]

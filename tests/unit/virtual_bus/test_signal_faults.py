@@ -14,7 +14,7 @@ from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 from servobench.virtual_bus.bus.judge import Direction
 from servobench.virtual_bus.faults.alterations import saturated
-from servobench.virtual_bus.faults.fates import FateSource
+from servobench.virtual_bus.faults.fates import FateSource, RecordedFaults
 from servobench.virtual_bus.faults.fault_log import FaultLog, entry_line, read_line
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
 from servobench.virtual_bus.faults.frame_fault import FrameFault
@@ -23,7 +23,6 @@ from servobench.virtual_bus.faults.kinds.duplicate import Duplicate
 from servobench.virtual_bus.faults.kinds.loss import Loss
 from servobench.virtual_bus.faults.kinds.signal import SignalFault
 from servobench.virtual_bus.faults.node_faults import DrawnNode
-from servobench.virtual_bus.faults.replay import RecordedFaults
 from servobench.virtual_bus.frame import Frame
 from servobench.virtual_bus.hosting.faulty_device import FaultyDevice
 from servobench.virtual_bus.hosting.injection import Faults, Injection
