@@ -198,17 +198,17 @@ class ClockQuestion:
         return sorted(lines, key=lambda line: (line.cost, line.steps, line.delay_change))
 
     def _low_before(self, earlier: list[Suspect]) -> int:
-        """The smallest delay before a step: that of the first suspects, if several of them lie on SYNCs as
-        the clock was, which no chance makes of stamps that scatter little."""
-        delays: list[int] = []
-        place, near_ns = self._stamps.clock.place, self._stamps.near_ns
+        """The smallest delay before a step: that of the first suspects, if several lie on SYNCs as the clock
+        was and the others do not; no chance makes that of stamps that scatter little."""
+        place, near_ns, delays = self._stamps.clock.place, self._stamps.near_ns, list[int]()
         for suspect in earlier:
             at = place(suspect.device_ns)
-            if suspect.second or abs(self._miss(at)) > near_ns:
-                break
-            delays.append(suspect.received_at - at)
-        shown = len(delays) >= SHOWN_MIN and 2 * self._half >= SCATTER_PARTS * near_ns
-        return min(delays) if shown else self.delays.low
+            if abs(self._miss(at)) > near_ns:
+                shown = len(delays) >= SHOWN_MIN and 2 * self._half >= SCATTER_PARTS * near_ns
+                return min(delays) if shown else self.delays.low
+            if not suspect.second:
+                delays.append(suspect.received_at - at)
+        return self.delays.low
 
     def _borne_out(self, lines: list[Line], earlier: list[Suspect]) -> list[Line]:
         """Those of ``lines`` that ``earlier`` suspects bear out as well as any: a few readings, looked at
