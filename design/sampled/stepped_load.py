@@ -79,11 +79,12 @@ class SteppedLoad:
         usual: Sequence[Operation],
         shafts: Shafts = AS_DESIGNED,
         close: float = GRIDS[0],
+        parts: int = _START_PARTS,
     ) -> None:
         """``close``: that of the grid of delays, and the share by which norms then fall for what lies
-        between."""
+        between; ``parts``: of the period in which the load may come."""
         self._loop, self._period_s, self.order = copy.copy(loop), period_s, _ORDER if shafts.half else 0
-        self._close = close
+        self._close, self._parts = close, parts
         self._loop.model = _lighter(loop.model, shafts.middle)
         loaded = LoadedPeriods(self._loop, period_s, 1)
         whole = loaded.period(usual)[0]
@@ -117,15 +118,15 @@ class SteppedLoad:
 
     def _begin(self, n: int, size: int, curved: Array) -> None:
         h = self._period_s
-        shares = np.arange(_START_PARTS + 1) / _START_PARTS
+        shares = np.arange(self._parts + 1) / self._parts
         begun = exponential(h * self._rates, h * self._slope, shares, self.order)
-        self.starts = np.zeros((_START_PARTS + 1, self.order + 1, size))
+        self.starts = np.zeros((self._parts + 1, self.order + 1, size))
         """(N, m + 1, k): d at the first sample, the load having come 0 .. 1 periods before."""
         self.starts[:, :, :n] = begun.coefficients[:, :, :n, n + 1].transpose(1, 0, 2)
         errors, left = self.starts[:, :, :n] @ self._look, begun.rest[:, :n, n + 1] @ np.abs(self._look)
         self.starts[:, 0] -= self._rest[:-1]
-        self._bend = np.zeros((_START_PARTS + 1, size))
-        self._bend[:, :n] = (h / _START_PARTS) ** 2 / 8.0 * curved
+        self._bend = np.zeros((self._parts + 1, size))
+        self._bend[:, :n] = (h / self._parts) ** 2 / 8.0 * curved
         between = float(np.abs(self._look) @ self._bend[0, :n])
         self._bend[:, :n] += self._weighed(begun.rest[:, :n, n + 1])
         at_rest = abs(self.error_at_rest)
