@@ -48,9 +48,9 @@ GROUPS = {
         *_below("drivers/wire", "frame_port message_port"),
     ],
     "loop": [
-        *_below("hil/control", "compensation controllers fused hinf load_filter motion positions predictor"),
-        *_below("hil/loop", "attribution axis axis_roles clock_map clock_question command_meter context"),
-        *_below("hil/loop", "cycle_record decision delay drive_stamps followed_command kept_order lessons"),
+        *_below("hil/control", "compensation controllers load_filter predictor"),
+        *_below("hil/loop", "attribution axis clock_map clock_question command_meter protocol"),
+        *_below("hil/loop", "cycle_record delay drive_stamps followed_command kept_order"),
         *_below("hil/loop", "loop order_attribution order_evidence order_memory order_question pace"),
         *_below("hil/loop", "period_doubt readback_tie residuals safety samples scenario"),
         *_below("hil/loop", "stamp_attribution suspects syncs usual_delays way_back"),
@@ -59,23 +59,19 @@ GROUPS = {
     ],
     "bus": [
         *_below("virtual_bus", "frame"),
-        *_below("virtual_bus/bus", "bit_length controller error_frame error_handling"),
-        *_below("virtual_bus/bus", "frame_image host_port hub_broker hub_client hub_port hub_protocol"),
-        *_below("virtual_bus/bus", "listener trial"),
+        *_below("virtual_bus/bus", "controller error_frame error_handling frame_image host_port hub_broker"),
+        *_below("virtual_bus/bus", "hub_client hub_port hub_protocol listener"),
     ],
     "device": [
-        *_below("virtual_bus/device", "application canopen_device heartbeat object_dictionary"),
-        *_below(
-            "virtual_bus/device", "pdo_codec pdo_engine pdo_parameters pdo_task rpdo station sync_consumer"
-        ),
-        *_below("virtual_bus/device", "sync_task tpdo"),
+        *_below("virtual_bus/device", "canopen_device heartbeat object_dictionary"),
+        *_below("virtual_bus/device", "pdo_engine pdo_parameters station sync_consumer"),
         *_below("virtual_bus/drive", "actual_values axis cyclic_modes failures firmware homing"),
         *_below(
             "virtual_bus/drive",
             "homing_methods machine operation_mode operation_modes power_state",
         ),
-        *_below("virtual_bus/drive", "profile_modes servo set_point_path simulated_load"),
-        *_below("virtual_bus/drive", "servo_parameters trajectory user_units velocity_mode"),
+        *_below("virtual_bus/drive", "profile_modes servo set_point_path"),
+        *_below("virtual_bus/drive", "servo_parameters trajectory user_units"),
         *_below("virtual_bus/hosting", "devices"),
     ],
 }

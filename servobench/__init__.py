@@ -26,8 +26,16 @@ if TYPE_CHECKING:
     from servobench.hil.campaign.plan import CampaignPlan
     from servobench.hil.configuration.bench_file import Bench
     from servobench.hil.control.setup import Setup
-    from servobench.hil.loop.axis_roles import PROTOCOL_VERSION, Compensator, Controller
-    from servobench.hil.loop.context import Context, PositionSetPoint, SetPoint, SpeedSetPoint, TorqueSetPoint
+    from servobench.hil.loop.protocol import (
+        PROTOCOL_VERSION,
+        Compensator,
+        Context,
+        Controller,
+        PositionSetPoint,
+        SetPoint,
+        SpeedSetPoint,
+        TorqueSetPoint,
+    )
     from servobench.hil.loop.samples import Sample, StateEstimate
     from servobench.hil.testing.one_run import run
     from servobench.hil.testing.run import Run
@@ -48,8 +56,16 @@ _HOMES = {
     "hil.campaign.plan": ("CampaignPlan",),
     "hil.configuration.bench_file": ("Bench",),
     "hil.control.setup": ("Setup",),
-    "hil.loop.axis_roles": ("PROTOCOL_VERSION", "Compensator", "Controller"),
-    "hil.loop.context": ("Context", "PositionSetPoint", "SetPoint", "SpeedSetPoint", "TorqueSetPoint"),
+    "hil.loop.protocol": (
+        "PROTOCOL_VERSION",
+        "Compensator",
+        "Context",
+        "Controller",
+        "PositionSetPoint",
+        "SetPoint",
+        "SpeedSetPoint",
+        "TorqueSetPoint",
+    ),
     "hil.loop.samples": ("Sample", "StateEstimate"),
     "hil.testing.one_run": ("run",),
     "hil.testing.run": ("Run",),

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from servobench.drivers.timebase import Duration, Instant
-from servobench.drivers.wire.identifiers import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from servobench.drivers.wire.frame_port import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from servobench.hil.recording.frame_files import FrameFiles
 from servobench.hil.reviewing.export_format import ExportFormat
 from servobench.hil.reviewing.frames_export import export_frames

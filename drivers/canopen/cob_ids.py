@@ -3,7 +3,7 @@
 from typing import Final
 
 from servobench.drivers.canopen.error_codes import error_text
-from servobench.drivers.wire.identifiers import ERROR_FLAG, STANDARD_ID_MAX
+from servobench.drivers.wire.frame_port import ERROR_FLAG, STANDARD_ID_MAX
 
 NMT: Final = 0x000
 SYNC: Final = 0x080

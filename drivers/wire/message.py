@@ -3,8 +3,7 @@
 import can
 
 from servobench.drivers.timebase import Instant
-from servobench.drivers.wire.frame_port import WireFrame
-from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.drivers.wire.frame_port import ERROR_FLAG, WireFrame
 
 
 def frame_of(message: can.Message) -> WireFrame:

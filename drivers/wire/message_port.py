@@ -6,8 +6,7 @@ from typing import Final
 import can
 
 from servobench.drivers.timebase import NS_PER_S, Clock, Duration, Instant, wall_clock_offset
-from servobench.drivers.wire.frame_port import FramePort, WireFrame
-from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.drivers.wire.frame_port import ERROR_FLAG, FramePort, WireFrame
 from servobench.drivers.wire.message import frame_of, message_of
 
 

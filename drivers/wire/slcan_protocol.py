@@ -11,8 +11,7 @@ import re
 from enum import IntFlag
 from typing import NamedTuple
 
-from servobench.drivers.wire.frame_port import WireFrame
-from servobench.drivers.wire.identifiers import EXTENDED_ID_MAX, STANDARD_ID_MAX
+from servobench.drivers.wire.frame_port import EXTENDED_ID_MAX, STANDARD_ID_MAX, WireFrame
 
 CR, BEL = b"\r", b"\a"
 _BITRATES_BIT_S = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)

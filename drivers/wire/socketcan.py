@@ -12,13 +12,16 @@ from can.interfaces.socketcan import SocketcanBus
 
 from servobench.drivers.timebase import NS_PER_S, Clock, Instant, MonotonicClock, wall_between
 from servobench.drivers.wire.error_frames import controller_cure, controller_state_text
-from servobench.drivers.wire.frame_port import EchoBasis, FramePort, Trouble, WireFrame
-from servobench.drivers.wire.identifiers import (
+from servobench.drivers.wire.frame_port import (
     ERROR_FLAG,
     EXTENDED_FLAG,
     EXTENDED_ID_MAX,
     REMOTE_FLAG,
     STANDARD_ID_MAX,
+    EchoBasis,
+    FramePort,
+    Trouble,
+    WireFrame,
 )
 from servobench.drivers.wire.socketcan_stamps import (
     ANCILLARY_BYTES,

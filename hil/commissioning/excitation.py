@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from servobench.drivers.exchange import Command
 from servobench.hil.commissioning.identify import Array, Mechanics
-from servobench.hil.loop.axis_roles import Controller
-from servobench.hil.loop.context import Context, SetPoint, SpeedSetPoint, TorqueSetPoint
+from servobench.hil.loop.protocol import Context, Controller, SetPoint, SpeedSetPoint, TorqueSetPoint
 
 GUIDE_RAD_S: Final = 40.0
 """Bandwidth of the speed loop that only guides an exercise: slow enough for any delay of a bench."""

@@ -21,11 +21,10 @@ from servobench.hil.control.compensation import Arrival
 from servobench.hil.execution.drive_session import DriveSession
 from servobench.hil.execution.segments import sync_log
 from servobench.hil.loop.axis import Axis, AxisParts
-from servobench.hil.loop.axis_roles import Controller
-from servobench.hil.loop.context import Context, SetPoint
 from servobench.hil.loop.cycle_record import CycleRecord
 from servobench.hil.loop.loop import LoopTiming
 from servobench.hil.loop.pace import OwnSync
+from servobench.hil.loop.protocol import Context, Controller, SetPoint
 from servobench.hil.loop.safety import SafetyGuard, SpeedLimits, TorqueLimits
 from servobench.hil.loop.samples import Dropout, DropoutCause, StateEstimate
 from servobench.hil.loop.scenario import Quantity, ReferenceProfile, Segment

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
-from servobench.drivers.wire.identifiers import EXTENDED_FLAG, REMOTE_FLAG
+from servobench.drivers.wire.frame_port import EXTENDED_FLAG, REMOTE_FLAG
 from servobench.hil.execution.world import World
 from servobench.hil.recording.append_file import AppendFile
 from servobench.hil.rows.events import event_json

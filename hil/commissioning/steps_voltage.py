@@ -25,8 +25,7 @@ from servobench.hil.commissioning.nameplate import CONSTANT_QUANTITY
 from servobench.hil.commissioning.sequence import Step
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.torque_scale import TORQUE_PER_VOLTAGE
-from servobench.hil.loop.axis_roles import Controller
-from servobench.hil.loop.context import Context, SetPoint, TorqueSetPoint
+from servobench.hil.loop.protocol import Context, Controller, SetPoint, TorqueSetPoint
 from servobench.hil.loop.samples import StateEstimate
 
 _SPEED_SHARE: Final = 0.95

@@ -33,8 +33,7 @@ from servobench.hil.configuration.quantities import (
     Speed,
     Torque,
 )
-from servobench.hil.loop.quantity_by_mode import QUANTITY_BY_MODE
-from servobench.hil.loop.scenario import Quantity
+from servobench.hil.loop.scenario import QUANTITY_BY_MODE, Quantity
 from servobench.virtual_bus.device.device_options import STAMP_BITS, STAMP_LATE_MAX_NS, StampLatch
 from servobench.virtual_bus.drive.current_controller import current_bandwidth_hz
 from servobench.virtual_bus.drive.lacks import PATTERN

@@ -30,12 +30,17 @@ from servobench.hil.configuration.quantities import (
     ViscousFriction,
 )
 from servobench.hil.control.compensation import Arrival, Stamp
-from servobench.hil.control.controllers import Pid, PidGains, StateFeedback
-from servobench.hil.control.hinf import HinfFeedback
+from servobench.hil.control.controllers import (
+    HinfFeedback,
+    Pid,
+    PidGains,
+    PositionLoop,
+    SetPointStream,
+    StateFeedback,
+)
 from servobench.hil.control.own_code import OBJECT_PATTERN, guarded_compensator, guarded_controller
-from servobench.hil.control.positions import PositionLoop, SetPointStream
 from servobench.hil.control.setup import Setup
-from servobench.hil.loop.axis_roles import Compensator, Controller
+from servobench.hil.loop.protocol import Compensator, Controller
 from servobench.hil.loop.scenario import Quantity
 
 Vector = Annotated[tuple[Gain, ...], Field(strict=False, min_length=1, max_length=ORDER_MAX)]

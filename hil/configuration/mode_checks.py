@@ -9,8 +9,7 @@ from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.configuration.config_axis import DriveConfig
 from servobench.hil.configuration.controller_kinds import controllers_giving
 from servobench.hil.configuration.references import Reference, peak_level, peak_rate
-from servobench.hil.loop.quantity_by_mode import QUANTITY_BY_MODE
-from servobench.hil.loop.scenario import Quantity
+from servobench.hil.loop.scenario import QUANTITY_BY_MODE, Quantity
 
 Fault = tuple[str, object, str, str]
 """Key, value found, expected value, remedy."""

@@ -11,11 +11,16 @@ from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from servobench.hil.configuration.controller_files import LoopFigures, LossCertificate, MadeFor
 from servobench.hil.configuration.controller_section import ORDER_MAX, AxisController, check_period
 from servobench.hil.configuration.quantities import Gain, Inertia, ViscousFriction
-from servobench.hil.control.fused import FusedPredictor
 from servobench.hil.control.load_filter import FilterNoise
-from servobench.hil.control.predictor import LoadCancelling, PositionTracking, Predicting, Predictor
+from servobench.hil.control.predictor import (
+    FusedPredictor,
+    LoadCancelling,
+    PositionTracking,
+    Predicting,
+    Predictor,
+)
 from servobench.hil.control.setup import Setup
-from servobench.hil.loop.axis_roles import Controller
+from servobench.hil.loop.protocol import Controller
 from servobench.hil.loop.scenario import Quantity
 
 _APPROACH = 0.8

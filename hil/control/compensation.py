@@ -9,8 +9,7 @@ stamp        use the sample that is exactly the agreed delay old when the comman
 from collections import deque
 
 from servobench.drivers.timebase import Duration
-from servobench.hil.loop.axis_roles import Compensator
-from servobench.hil.loop.context import Context
+from servobench.hil.loop.protocol import Compensator, Context
 from servobench.hil.loop.samples import AT_REST, Sample, StateEstimate
 
 

@@ -1,15 +1,38 @@
 """Speed controllers: a state estimate and a reference in, a torque out.
 
-What the loop asks of each is :class:`servobench.hil.loop.axis_roles.Controller`.
+What the loop asks of each is :class:`servobench.hil.loop.protocol.Controller`.
+
+Controllers for a drive that closes more than its current loop: a position loop over its speed mode, and
+streams of set-points.
+
+    reference position --> P --+--> speed set-point --> the drive's speed loop --> shaft
+    its rate ------------------'
+
+A sampled controller in state space, as H-infinity synthesis finds it, on the speed error.
+
+    u_k = C x_k + D e_k + ff_k           e_k = omega*(delayed) - omega_k
+    x_k+1 = A x_k + B e_k + L (s_k - ff_k)      s_k: the command as it was sent, after all limits
+
+What a limit cuts off, the states know: A has only poles that decay, so nothing winds up. The feed-forward
+carries friction and inertia along the reference; the error is taken to the reference as it was when the
+commands were given that a reading tells of, so a ramp makes none.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from servobench.drivers.exchange import Command
-from servobench.drivers.timebase import NS_PER_S
-from servobench.hil.loop.axis_roles import Controller
-from servobench.hil.loop.context import Context, SetPoint, TorqueSetPoint
+from servobench.drivers.timebase import NS_PER_S, Duration, Instant
+from servobench.hil.loop.protocol import (
+    Context,
+    Controller,
+    PositionSetPoint,
+    SetPoint,
+    SpeedSetPoint,
+    TorqueSetPoint,
+)
 from servobench.hil.loop.samples import StateEstimate
+from servobench.hil.loop.scenario import Quantity
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,3 +155,136 @@ class StateFeedback(Controller):
         """Advance the integral; without one there is nothing to advance."""
         if self._integral_gain_a_rad != 0.0 and context.follows and command.torque_nm == self._demand_nm:
             self._integral_rad += self._period_s * self._error_rad_s
+
+
+class PositionLoop(Controller):
+    """omega_set = K (theta*(t_s) - theta(t_s)) + F omega*(t_a + lead).
+
+    t_s is the instant of the estimate, so a steady speed leaves no error however old the reading is; t_a that
+    at which the command acts. ``lead``: what the drive takes from there until its shaft has the speed.
+    """
+
+    def __init__(self, gain_per_s: float, feedforward: float, lead: Duration) -> None:
+        self._gain_per_s = gain_per_s
+        self._feedforward = feedforward
+        self._lead = lead
+
+    def output(self, context: Context) -> SetPoint:
+        speed = self._feedforward * context.reference_rate_at(Instant(context.acts_at + self._lead))
+        estimate = context.estimate
+        if estimate.sequence > 0:
+            asked_rad = context.reference_at(estimate.valid_at)
+            speed += self._gain_per_s * (asked_rad - estimate.position_rad)
+        return SpeedSetPoint(speed)
+
+
+class SetPointStream(Controller):
+    """The reference itself, at the instant for which the drive takes a set-point.
+
+    A torque or speed is in force once it acts. A position is reached an interpolation period, 60C2h, later.
+    """
+
+    def __init__(self, quantity: Quantity, period: Duration) -> None:
+        self._quantity = quantity
+        self._period = period
+
+    def output(self, context: Context) -> SetPoint:
+        if self._quantity is Quantity.POSITION:
+            return PositionSetPoint(context.reference_at(Instant(context.acts_at + self._period)))
+        asked = context.reference_at(context.acts_at)
+        return SpeedSetPoint(asked) if self._quantity is Quantity.SPEED else TorqueSetPoint(asked)
+
+
+class HinfFeedback(Controller):
+    """``states``: A, (n, n), of any entries; those that are 0 cost nothing.
+
+    ``inputs``: B, (n,), of the speed error, rad/s; ``sent_inputs``: L, (n,), of the command that was sent,
+    N m; ``outputs``: C, (n,), N m; ``direct``: D, N m per rad/s. ``answer_periods``: from a reading to where
+    the speed of a later one has answered to its command.
+    """
+
+    def __init__(
+        self,
+        states: Sequence[Sequence[float]],
+        inputs: Sequence[float],
+        sent_inputs: Sequence[float],
+        outputs: Sequence[float],
+        direct: float,
+        inertia_kg_m2: float,
+        viscous_friction_nm_s: float,
+        answer_periods: float,
+    ) -> None:
+        self._inputs = list(inputs)
+        self._sent_inputs = list(sent_inputs)
+        self._outputs = list(outputs)
+        self._direct = direct
+        self._order = len(outputs)
+        self._diagonal = [row[place] for place, row in enumerate(states)]
+        self._places: list[int] = []
+        self._gains: list[float] = []
+        self._ends: list[int] = []
+        for place, row in enumerate(states):
+            for other, gain in enumerate(row):
+                if gain != 0.0 and other != place:
+                    self._places.append(other)
+                    self._gains.append(gain)
+            self._ends.append(len(self._places))
+        self._inertia = inertia_kg_m2
+        self._friction = viscous_friction_nm_s
+        self._whole = int(answer_periods)
+        self._part = answer_periods - self._whole
+        self._begin()
+
+    def _begin(self) -> None:
+        self._state = [0.0] * self._order
+        self._error_rad_s = 0.0
+        self._forward_nm = 0.0
+        self._references: list[float] = []
+        """The last ones, as a ring; empty before the first cycle."""
+        self._newest = 0
+
+    def reset(self) -> None:
+        self._begin()
+
+    def channels(self) -> Sequence[str]:
+        return ("feedback_error_rad_s",)
+
+    def output(self, context: Context) -> SetPoint:
+        ahead = context.preview(1)
+        reference = ahead[0]
+        if not self._references:
+            self._references = [reference] * (self._whole + 2)
+        error = self._answered(reference) - context.estimate.velocity_rad_s
+        period_s = context.period / NS_PER_S
+        forward = self._friction * reference + self._inertia * (ahead[1] - reference) / period_s
+        torque, state, outputs = self._direct * error, self._state, self._outputs
+        for place in range(self._order):
+            torque += outputs[place] * state[place]
+        self._error_rad_s, self._forward_nm = error, forward
+        return TorqueSetPoint(torque + forward)
+
+    def _answered(self, reference: float) -> float:
+        """The reference of ``answer_periods`` ago, between two cycles in proportion."""
+        ring, size = self._references, self._whole + 2
+        later = reference if self._whole == 0 else ring[(self._newest - self._whole + 1) % size]
+        earlier = ring[(self._newest - self._whole) % size]
+        return later + self._part * (earlier - later)
+
+    def update(self, context: Context, command: Command) -> None:
+        error, sent, state = self._error_rad_s, command.torque_nm - self._forward_nm, self._state
+        inputs, sent_inputs, diagonal = self._inputs, self._sent_inputs, self._diagonal
+        places, gains, ends, entry = self._places, self._gains, self._ends, 0
+        after: list[float] = []
+        for place in range(self._order):
+            value = diagonal[place] * state[place] + inputs[place] * error + sent_inputs[place] * sent
+            end = ends[place]
+            while entry < end:
+                value += gains[entry] * state[places[entry]]
+                entry += 1
+            after.append(value)
+        self._state = after
+        self._newest = (self._newest + 1) % (self._whole + 2)
+        self._references[self._newest] = context.reference_rad_s
+
+    def telemetry(self) -> Sequence[float]:
+        return [self._error_rad_s]

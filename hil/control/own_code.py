@@ -27,8 +27,7 @@ from servobench.drivers.key_advice import unknown_key
 from servobench.drivers.record import values_of
 from servobench.drivers.timebase import NS_PER_S, Instant, MonotonicClock
 from servobench.hil.control.setup import Setup
-from servobench.hil.loop.axis_roles import Compensator, Controller
-from servobench.hil.loop.context import CHANNELS_MAX, Context, SetPoint
+from servobench.hil.loop.protocol import CHANNELS_MAX, Compensator, Context, Controller, SetPoint
 from servobench.hil.loop.samples import Sample, StateEstimate
 from servobench.hil.machine.held_process import (
     FAILURES,

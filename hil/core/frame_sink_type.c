@@ -2,7 +2,7 @@
 #include "frames.h"
 #include "types.h"
 
-enum { EXTENDED_FLAG = 0x80000000, REMOTE_FLAG = 0x40000000 }; /* servobench.drivers.wire.identifiers */
+enum { EXTENDED_FLAG = 0x80000000, REMOTE_FLAG = 0x40000000 }; /* servobench.drivers.wire.frame_port */
 
 typedef struct SinkObject {
     PyObject head;

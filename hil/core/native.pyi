@@ -12,7 +12,7 @@ SOURCES_DIGEST: str
 
 def frame_row(at: int, can_id: int, sent: int, data: bytes, /) -> bytes:
     """A row of servobench.hil.rows.side_rows.FRAME; ``can_id`` with its flags
-    (servobench.drivers.wire.identifiers).
+    (servobench.drivers.wire.frame_port).
 
     Error: ValueError for what does not fit into one.
     """

@@ -20,16 +20,15 @@ from servobench.hil.configuration.controller_kinds import ArrivalCompensator, Ow
 from servobench.hil.control.own_code import source_of
 from servobench.hil.control.setup import Setup
 from servobench.hil.loop.axis import Axis, AxisParts
-from servobench.hil.loop.axis_roles import Compensator, Controller, LoadMachine
 from servobench.hil.loop.cycle_record import CycleRecord
 from servobench.hil.loop.loop import Actuation, LoopTiming
-from servobench.hil.loop.quantity_by_mode import QUANTITY_BY_MODE
+from servobench.hil.loop.protocol import Compensator, Controller, LoadMachine
 from servobench.hil.loop.safety import Limits, PositionLimits, SafetyGuard, SpeedLimits, TorqueLimits
-from servobench.hil.loop.scenario import Quantity, ReferenceProfile
+from servobench.hil.loop.scenario import QUANTITY_BY_MODE, Quantity, ReferenceProfile
 from servobench.hil.loop.syncs import SyncLog
 from servobench.hil.recording.run_recorder import RunRecorder
 from servobench.hil.rows.events import QUIET
-from servobench.virtual_bus.bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
+from servobench.virtual_bus.bus.frame_image import INTERMISSION_BITS, bits_duration, frame_bits
 from servobench.virtual_bus.frame import Frame
 
 if TYPE_CHECKING:

@@ -36,8 +36,8 @@ from servobench.hil.execution.recorded_bench import keep_files, recording_plan
 from servobench.hil.execution.world import World, WorldPlan, check_time, open_world
 from servobench.hil.load.load_machines import LoadMachines
 from servobench.hil.loop.axis import Axis
-from servobench.hil.loop.axis_roles import Controller
 from servobench.hil.loop.loop import Loop, LoopOutcome, LoopTiming, planned_cycles
+from servobench.hil.loop.protocol import Controller
 from servobench.hil.loop.syncs import SyncLog
 from servobench.hil.machine.progress import Progress, no_progress
 from servobench.hil.machine.realtime import timing_conditions

@@ -14,9 +14,9 @@ from servobench.drivers.wire.adapters import BusSpec, open_bus, shared_bus
 from servobench.drivers.wire.attached import advice_on
 from servobench.drivers.wire.link import BusLink, StampSource, Tap
 from servobench.hil.configuration.config import BackgroundTables, BenchConfig, BusSegment
-from servobench.virtual_bus.bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
 from servobench.virtual_bus.bus.disturbance import BusError
 from servobench.virtual_bus.bus.error_message import error_frame_of
+from servobench.virtual_bus.bus.frame_image import INTERMISSION_BITS, bits_duration, frame_bits
 from servobench.virtual_bus.bus.segment import CanSegment
 from servobench.virtual_bus.bus.simulated_bus import SimulatedBus
 from servobench.virtual_bus.core.native import BusLoad

@@ -8,8 +8,7 @@ import can
 from servobench.drivers.errors import BusDown
 from servobench.drivers.timebase import NS_PER_MS, Duration, Instant, MonotonicClock
 from servobench.drivers.wire.adapters import BusSpec
-from servobench.drivers.wire.frame_port import FramePort
-from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.drivers.wire.frame_port import ERROR_FLAG, FramePort
 from servobench.drivers.wire.message_port import MessagePort
 from servobench.hil.inspecting.scanning import ScanPlan, open_to_look
 from servobench.hil.reviewing.trace.frame_columns import LogFrame

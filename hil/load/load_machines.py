@@ -17,7 +17,7 @@ from servobench.drivers.wire.adapters import SIMULATED
 from servobench.drivers.wire.serial_line import ByteLine, open_line
 from servobench.hil.configuration.config import BenchConfig, LoadMachineConfig
 from servobench.hil.configuration.references import Load, SignalFile
-from servobench.hil.loop.axis_roles import LoadMachine
+from servobench.hil.loop.protocol import LoadMachine
 from servobench.hil.recording.run_recorder import RunRecorder
 from servobench.virtual_bus.drive.load_object import (
     LOAD_COURSE_SUB,

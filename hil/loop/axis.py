@@ -11,15 +11,12 @@ from servobench.drivers.exchange import Drive, Reading
 from servobench.drivers.record import replaced
 from servobench.drivers.timebase import NEVER, NS_PER_US, Duration, Instant
 from servobench.hil.loop.attribution import HELD_FOR, HELD_MAX
-from servobench.hil.loop.axis_roles import Compensator, Controller, LoadMachine
-from servobench.hil.loop.clock_map import STAMP_RESOLUTION
+from servobench.hil.loop.clock_map import STAMP_RESOLUTION, Lessons
 from servobench.hil.loop.command_meter import CommandMeter
-from servobench.hil.loop.context import Context
 from servobench.hil.loop.cycle_record import CycleRecord
-from servobench.hil.loop.decision import Decision, Decisions, Tick
-from servobench.hil.loop.delay import DelayMeter, Fate
-from servobench.hil.loop.lessons import Lessons
+from servobench.hil.loop.delay import Decision, Decisions, DelayMeter, Fate, Tick
 from servobench.hil.loop.order_attribution import OrderAttribution
+from servobench.hil.loop.protocol import Compensator, Context, Controller, LoadMachine
 from servobench.hil.loop.readback_tie import ProvedChanges, ReadbackTie, Telling
 from servobench.hil.loop.safety import SafetyGuard
 from servobench.hil.loop.samples import CommandFate, Dropout, DropoutCause, Sending, without_sync

@@ -16,7 +16,7 @@ from mypy_extensions import mypyc_attr
 from servobench.drivers.exchange import NEVER_TOLD, Command, PositionCommand, SpeedCommand
 from servobench.drivers.record import Record
 from servobench.drivers.timebase import Duration, Instant
-from servobench.hil.loop.context import CHANNELS_MAX
+from servobench.hil.loop.protocol import CHANNELS_MAX
 from servobench.hil.loop.samples import (
     CommandFate,
     Dropout,

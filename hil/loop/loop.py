@@ -21,7 +21,7 @@ from servobench.drivers.errors import LimitExceeded, NoAnswer
 from servobench.drivers.exchange import Master
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Duration, Instant
 from servobench.hil.loop.axis import Axis
-from servobench.hil.loop.decision import Tick
+from servobench.hil.loop.delay import Tick
 from servobench.hil.loop.pace import Pace, Start, ticks_passed
 
 PROGRESS_EVERY: Final = 50 * NS_PER_MS

@@ -12,7 +12,7 @@ from typing import Final
 
 from servobench.drivers.exchange import Command, PositionCommand, SpeedCommand
 from servobench.drivers.timebase import NS_PER_S, Instant
-from servobench.hil.loop.context import (
+from servobench.hil.loop.protocol import (
     PositionSetPoint,
     SetPoint,
     SpeedSetPoint,

@@ -1,4 +1,7 @@
-"""Reference and load torque of an axis over a run."""
+"""Reference and load torque of an axis over a run.
+
+Which quantity a drive takes as its set-point, by its mode of operation.
+"""
 
 import math
 from bisect import bisect_right
@@ -272,3 +275,12 @@ def sine_of_turns(turns: float) -> float:
     for coefficient in reversed(_TAYLOR):
         total = total * square + coefficient
     return -total * quarter
+
+
+QUANTITY_BY_MODE: Final = {
+    "cst": Quantity.TORQUE,
+    "csv": Quantity.SPEED,
+    "csp": Quantity.POSITION,
+    "ip": Quantity.POSITION,
+    "vl": Quantity.SPEED,
+}

@@ -12,7 +12,7 @@ import math
 from typing import Final
 
 from servobench.drivers.timebase import NS_PER_S, Duration
-from servobench.hil.loop.context import Context
+from servobench.hil.loop.protocol import Context
 from servobench.hil.loop.safety import PositionPath
 from servobench.hil.loop.samples import Sample
 from servobench.hil.loop.scenario import Quantity, ReferenceProfile

@@ -21,10 +21,9 @@ from servobench.drivers.exchange import Command, Drive, Readback, Reading, SentC
 from servobench.drivers.timebase import Clock, Instant
 from servobench.drivers.wire.frame_port import EchoBasis
 from servobench.hil.control.compensation import Arrival
-from servobench.hil.loop.axis_roles import Compensator
 from servobench.hil.loop.clock_map import ClockMap
-from servobench.hil.loop.context import Context
 from servobench.hil.loop.cycle_record import CAUSES, COMMAND_FATES, FATE_SAMPLE, NOTHING
+from servobench.hil.loop.protocol import Compensator, Context
 from servobench.hil.loop.samples import CommandFate, DropoutCause, Sample, StateEstimate
 from servobench.hil.measuring.loss_model import CAME, LOST, UNKNOWN, Outcomes
 from servobench.hil.reviewing.histogram import TimeHistogram

@@ -32,10 +32,9 @@ from servobench.hil.configuration.config import Foreign, Guard
 from servobench.hil.execution.assembly import command_duration, shortest_transit
 from servobench.hil.execution.segments import timing_without_bench
 from servobench.hil.loop.axis import Axis, AxisParts
-from servobench.hil.loop.axis_roles import Controller
-from servobench.hil.loop.context import Context, SetPoint, TorqueSetPoint
 from servobench.hil.loop.cycle_record import ROW, CycleRecord, row_of
 from servobench.hil.loop.loop import LoopTiming
+from servobench.hil.loop.protocol import Context, Controller, SetPoint, TorqueSetPoint
 from servobench.hil.loop.safety import SafetyGuard, TorqueLimits
 from servobench.hil.loop.scenario import Quantity, ReferenceProfile
 from servobench.hil.loop.syncs import SyncLog

@@ -10,7 +10,7 @@ from servobench.drivers.canopen.cob_ids import frame_name
 from servobench.drivers.canopen.nmt import Emergency, EmergencySeries, condensed
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_MS, Instant
-from servobench.drivers.wire.identifiers import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_ID_MAX, REMOTE_FLAG
+from servobench.drivers.wire.frame_port import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_ID_MAX, REMOTE_FLAG
 from servobench.hil.recording.sealer import Sealer
 from servobench.hil.rows.run_files import FRAMES_FILE, SEAL_FILE
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servobench.drivers.timebase import NS_PER_MS, Duration
-from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.drivers.wire.frame_port import ERROR_FLAG
 from servobench.hil.recording.append_file import AppendFile
 from servobench.hil.rows.frames_file import BATCH_FRAMES, FramesIndex, FramesWriter, finish_frames
 from servobench.hil.rows.run_files import FRAMES_FILE, INDEX_FILE

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US
-from servobench.drivers.wire.identifiers import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_ID_MAX, REMOTE_FLAG
+from servobench.drivers.wire.frame_port import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_ID_MAX, REMOTE_FLAG
 from servobench.hil.reviewing.export_format import ExportFormat
 from servobench.hil.rows.frames_file import read_batches, read_interfaces
 from servobench.hil.rows.run_files import FRAMES_FILE, FRAMES_LOG

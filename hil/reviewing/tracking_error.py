@@ -43,8 +43,7 @@ from numpy.typing import NDArray
 
 from servobench.drivers.timebase import NEVER, NS_PER_S, Duration
 from servobench.hil.loop.cycle_record import FATE_SAMPLE, NOTHING
-from servobench.hil.loop.quantity_by_mode import QUANTITY_BY_MODE
-from servobench.hil.loop.scenario import Quantity
+from servobench.hil.loop.scenario import QUANTITY_BY_MODE, Quantity
 from servobench.hil.reviewing.envelope import Envelope, Largest, Points, largest
 from servobench.hil.rows.recording_plan import AxisPlan
 from servobench.hil.rows.records import Rows

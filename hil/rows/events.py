@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from servobench.drivers.bounded_file import parse_json
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from servobench.drivers.wire.identifiers import EXTENDED_FLAG
+from servobench.drivers.wire.frame_port import EXTENDED_FLAG
 from servobench.hil.rows.run_files import EVENTS_FILE
 from servobench.hil.rows.side_rows import BeginEvent, RunEvent, StateEvent, TextEvent
 from servobench.virtual_bus.faults.fault_log import (

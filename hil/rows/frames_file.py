@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from servobench.drivers.canopen.cob_ids import ERROR_CONTROL, NODE_BITS, SDO_ANSWER, SDO_REQUEST
 from servobench.drivers.errors import BadInput
-from servobench.drivers.wire.identifiers import (
+from servobench.drivers.wire.frame_port import (
     ERROR_FLAG,
     EXTENDED_FLAG,
     EXTENDED_ID_MAX,

@@ -19,7 +19,7 @@ from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.configuration.motor_file import MotorFile
 from servobench.hil.configuration.references import SignalFile
 from servobench.hil.execution.bench import run_bench
-from servobench.hil.loop.axis_roles import Controller
+from servobench.hil.loop.protocol import Controller
 from servobench.hil.machine.stopping import Interrupted
 from servobench.hil.testing.hosted import DriveHost, DriveWish
 from servobench.hil.testing.run import Run

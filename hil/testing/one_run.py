@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from servobench.hil.configuration.bench_file import Bench
-    from servobench.hil.loop.axis_roles import Controller
+    from servobench.hil.loop.protocol import Controller
     from servobench.hil.machine.progress import Progress
     from servobench.hil.machine.stopping import StopRequest
     from servobench.hil.testing.run import Run

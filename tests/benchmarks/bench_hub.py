@@ -15,7 +15,7 @@ import can
 import numpy as np
 
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US, MonotonicClock
-from servobench.virtual_bus.bus.bit_length import INTERMISSION_BITS, frame_bits
+from servobench.virtual_bus.bus.frame_image import INTERMISSION_BITS, frame_bits
 from servobench.virtual_bus.frame import Frame
 
 PING, PONG, FLOW, CREDIT, END = 0x100, 0x101, 0x200, 0x201, 0x7FF

@@ -23,7 +23,7 @@ from servobench.virtual_bus.core.native import (
     Timer,
 )
 from servobench.virtual_bus.device.object_dictionary import Variable
-from servobench.virtual_bus.device.pdo_codec import Field, compiled
+from servobench.virtual_bus.device.pdo_parameters import Field, compiled
 from servobench.virtual_bus.frame import Frame
 from tests.core_fuzz.fates import Refused
 
@@ -126,7 +126,7 @@ class DrawnDevice(Listener):
     stopped = do_anything
 
     def advance(self, _now: Instant) -> None:
-        """See :class:`servobench.virtual_bus.device.application.Application`."""
+        """See :class:`servobench.virtual_bus.device.station.Application`."""
         self.do_anything()
 
     def on_sync(self, _counter: int, _now: Instant) -> None:

@@ -12,8 +12,7 @@ import can
 from servobench.drivers.canopen.frame_pump import FramePump
 from servobench.drivers.errors import BusDown
 from servobench.drivers.timebase import NEVER, NS_PER_MS, Instant
-from servobench.drivers.wire.frame_port import FramePort, FrameTap, Trouble, WireFrame
-from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.drivers.wire.frame_port import ERROR_FLAG, FramePort, FrameTap, Trouble, WireFrame
 from servobench.drivers.wire.link import BusLink
 from servobench.virtual_bus.bus.host_port import HostPort
 from servobench.virtual_bus.bus.segment import CanSegment

@@ -7,7 +7,7 @@ from typing import Any
 from servobench.drivers.canopen.objects301 import BITS, DataType
 from servobench.virtual_bus.core.native import PdoCodec
 from servobench.virtual_bus.device.object_dictionary import Variable
-from servobench.virtual_bus.device.pdo_codec import Field, compiled
+from servobench.virtual_bus.device.pdo_parameters import Field, compiled
 from tests.core_fuzz.fates import ODD, Refused
 
 

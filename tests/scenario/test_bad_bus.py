@@ -17,7 +17,7 @@ from servobench.drivers.cia402.servo import ServoDrive
 from servobench.drivers.errors import BusDown
 from servobench.drivers.exchange import Command
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.drivers.wire.frame_port import ERROR_FLAG
 from servobench.drivers.wire.link import BusLink, StampSource
 from servobench.hil.cli import app
 from servobench.hil.testing.bench_runs import BenchRunner

@@ -19,7 +19,7 @@ from servobench.drivers.errors import BadInput
 from servobench.hil.cli import app
 from servobench.hil.configuration.bench_file import load_bench, shipped_kinds
 from servobench.hil.control.own_code import OwnCodeFailed
-from servobench.hil.loop.context import WrongSetPoint
+from servobench.hil.loop.protocol import WrongSetPoint
 from servobench.hil.rows.records_file import read_metadata
 from servobench.hil.rows.run_files import RECORDS_FILE
 from servobench.hil.testing.bench_runs import BenchRunner

@@ -19,8 +19,8 @@ from servobench.drivers.timebase import Instant
 from servobench.drivers.wire.frame_port import UNTOLD, FramePort
 from servobench.virtual_bus.bus.segment import CanSegment
 from servobench.virtual_bus.core.native import DeviceClock
-from servobench.virtual_bus.device.application import Application
 from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
+from servobench.virtual_bus.device.station import Application
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from servobench.virtual_bus.frame import Frame
 

@@ -16,7 +16,7 @@ from typing import Final
 
 import pytest
 
-from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.drivers.wire.frame_port import ERROR_FLAG
 from tests.scenario.processes import simulated_drive
 
 ADAPTER: Final = "can7"

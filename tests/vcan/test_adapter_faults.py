@@ -12,8 +12,7 @@ import can
 import pytest
 
 from servobench.drivers.timebase import NS_PER_MS, Instant, MonotonicClock
-from servobench.drivers.wire.frame_port import WireFrame
-from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.drivers.wire.frame_port import ERROR_FLAG, WireFrame
 from servobench.drivers.wire.link import BusLink
 from servobench.drivers.wire.socketcan import StampedSocketcanBus
 

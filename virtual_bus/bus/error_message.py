@@ -4,7 +4,7 @@ from typing import Final
 
 import can
 
-from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.drivers.wire.frame_port import ERROR_FLAG
 from servobench.virtual_bus.bus.controller import PASSIVE_FROM, CanController, ErrorState
 from servobench.virtual_bus.bus.disturbance import BusError, ErrorKind
 from servobench.virtual_bus.frame import Frame

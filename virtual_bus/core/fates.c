@@ -8,7 +8,7 @@
 #include "faults.h"
 #include "objects.h"
 
-static const int64_t EXTENDED_FLAG = (int64_t)1 << 31; /* servobench.drivers.wire.identifiers */
+static const int64_t EXTENDED_FLAG = (int64_t)1 << 31; /* servobench.drivers.wire.frame_port */
 
 /* `release`, or later if the one in front is held for longer; the next one waits for it. */
 int64_t release_behind(QueueObject *self, int64_t release)

@@ -20,7 +20,7 @@ def sine_cosine(angle_rad: float, /) -> tuple[float, float]:
 def wire_bits(field: int, data: bytes, /) -> int:
     """Bits from start of frame to end of frame, with all stuff bits.
 
-    ``field``: the arbitration key (servobench.virtual_bus.bus.bit_length) and below it the four bits of the
+    ``field``: the arbitration key (servobench.virtual_bus.bus.frame_image) and below it the four bits of the
     DLC; ``data``: its octets. Error: ValueError for more than eight octets.
     """
 
@@ -587,7 +587,7 @@ class Port:
 
     @property
     def key(self) -> int | None:
-        """Its arbitration key (servobench.virtual_bus.bus.bit_length)."""
+        """Its arbitration key (servobench.virtual_bus.bus.frame_image)."""
 
     def send(self, frame: WireFrame, /) -> None:
         """Queue ``frame``. Raises what ``refusal()`` of the class on top returns, if it is full, off or

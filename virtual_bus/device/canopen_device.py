@@ -18,7 +18,6 @@ from servobench.drivers.canopen.objects301 import FIRST_OBJECT, Cia301
 from servobench.drivers.timebase import NEVER, NS_PER_MS, Instant
 from servobench.drivers.vendors.families import stamp_for
 from servobench.virtual_bus.core.native import CyclicDevice, DeviceClock
-from servobench.virtual_bus.device.application import Application, CommunicationLoss
 from servobench.virtual_bus.device.communication_objects import add_communication_objects
 from servobench.virtual_bus.device.device_options import DeviceOptions
 from servobench.virtual_bus.device.emergency import EmergencyProducer
@@ -28,9 +27,8 @@ from servobench.virtual_bus.device.nmt import NmtSlave
 from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
 from servobench.virtual_bus.device.parameter_storage import MemoryStore, ParameterStorage, ParameterStore
 from servobench.virtual_bus.device.pdo_engine import PdoEngine
-from servobench.virtual_bus.device.pdo_task import task_of
 from servobench.virtual_bus.device.sdo_server import SdoServer
-from servobench.virtual_bus.device.station import Handler, Station
+from servobench.virtual_bus.device.station import Application, CommunicationLoss, Handler, Station, task_of
 from servobench.virtual_bus.device.sync_consumer import SyncConsumer
 from servobench.virtual_bus.frame import Frame
 
@@ -134,15 +132,15 @@ class CanopenDevice:
         return self._station.dictionary
 
     def raise_error(self, code: int, register: ErrorRegister, information: bytes = b"") -> None:
-        """See :class:`servobench.virtual_bus.device.application.DeviceServices`."""
+        """See :class:`servobench.virtual_bus.device.station.DeviceServices`."""
         self._emergency.raise_error(code, register, information)
 
     def repeat_error(self, code: int, register: ErrorRegister) -> None:
-        """See :class:`servobench.virtual_bus.device.application.DeviceServices`."""
+        """See :class:`servobench.virtual_bus.device.station.DeviceServices`."""
         self._emergency.repeat_error(code, register)
 
     def clear_error(self, code: int) -> None:
-        """See :class:`servobench.virtual_bus.device.application.DeviceServices`."""
+        """See :class:`servobench.virtual_bus.device.station.DeviceServices`."""
         self._emergency.clear_error(code)
 
     def follow_bit_rate(self, set_bit_rate: Callable[[int], None]) -> None:

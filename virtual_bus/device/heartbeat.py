@@ -7,12 +7,11 @@ from servobench.drivers.canopen.error_codes import HEARTBEAT_ERROR, ErrorRegiste
 from servobench.drivers.canopen.nmt_states import NODE_ID_MAX, NmtState
 from servobench.drivers.canopen.objects301 import Cia301
 from servobench.drivers.timebase import NS_PER_MS, Instant
-from servobench.virtual_bus.device.application import CommunicationLoss
 from servobench.virtual_bus.device.emergency import EmergencyProducer
 from servobench.virtual_bus.device.nmt import NmtSlave
 from servobench.virtual_bus.device.object_dictionary import Check, Variable
 from servobench.virtual_bus.device.sdo_abort import AbortCode
-from servobench.virtual_bus.device.station import Station
+from servobench.virtual_bus.device.station import CommunicationLoss, Station
 from servobench.virtual_bus.frame import Frame
 
 

@@ -5,10 +5,10 @@ from typing import Final
 
 from servobench.drivers.canopen.error_codes import HEARTBEAT_ERROR, ErrorRegister
 from servobench.virtual_bus.core.native import InnerLoops
-from servobench.virtual_bus.device.application import CommunicationLoss, DeviceServices
 from servobench.virtual_bus.device.canopen_device import RECOVERED_FROM_BUS_OFF
 from servobench.virtual_bus.device.object_dictionary import Variable
-from servobench.virtual_bus.device.rpdo import PDO_DEADLINE
+from servobench.virtual_bus.device.pdo_engine import PDO_DEADLINE
+from servobench.virtual_bus.device.station import CommunicationLoss, DeviceServices
 from servobench.virtual_bus.drive.power_stage import Trip
 
 COMMUNICATION_ERROR: Final = 0x8100

@@ -11,7 +11,7 @@ from typing import Final
 
 from servobench.drivers.canopen.objects301 import MANDATORY, TPDO_COMMUNICATION, TPDO_MAPPING, is_mapping
 from servobench.virtual_bus.device.object_dictionary import DictionaryObject, ObjectDictionary
-from servobench.virtual_bus.device.tpdo import REMOTE_EVENT
+from servobench.virtual_bus.device.pdo_engine import REMOTE_EVENT
 
 TPDO_EVENTS: Final = "tpdo events"
 PATTERN: Final = rf"^([0-9A-Fa-f]{{4}}(:[0-9]{{1,3}})?|{TPDO_EVENTS})$"

@@ -12,8 +12,12 @@ from servobench.virtual_bus.drive.cyclic_modes import (
 )
 from servobench.virtual_bus.drive.homing import Homing
 from servobench.virtual_bus.drive.operation_mode import OperationMode
-from servobench.virtual_bus.drive.profile_modes import ProfilePosition, ProfileTorque, ProfileVelocity
-from servobench.virtual_bus.drive.velocity_mode import VelocityMode
+from servobench.virtual_bus.drive.profile_modes import (
+    ProfilePosition,
+    ProfileTorque,
+    ProfileVelocity,
+    VelocityMode,
+)
 
 MODES: dict[Mode, Callable[[SimulatedAxis], OperationMode]] = {
     Mode.PROFILE_POSITION: ProfilePosition,

@@ -25,12 +25,12 @@ from servobench.drivers.cia402.profile import (
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 from servobench.virtual_bus.core.native import CyclicDrive
-from servobench.virtual_bus.device.application import Application, CommunicationLoss, DeviceServices
 from servobench.virtual_bus.device.canopen_device import CanopenDevice
 from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
 from servobench.virtual_bus.device.parameter_storage import ParameterStore
+from servobench.virtual_bus.device.station import Application, CommunicationLoss, DeviceServices
 from servobench.virtual_bus.drive import actual_values
-from servobench.virtual_bus.drive.actual_values import INTERNAL_LIMIT_ACTIVE, ActualValues
+from servobench.virtual_bus.drive.actual_values import INTERNAL_LIMIT_ACTIVE, ActualValues, SimulatedLoad
 from servobench.virtual_bus.drive.axis import REST_S, SimulatedAxis
 from servobench.virtual_bus.drive.deaf_mode import DeafMode, set_points
 from servobench.virtual_bus.drive.failures import COMMUNICATION_ERROR, LOSS_CODES, Failures
@@ -50,7 +50,6 @@ from servobench.virtual_bus.drive.servo_parameters import (
     device_options,
     seed_of,
 )
-from servobench.virtual_bus.drive.simulated_load import SimulatedLoad
 from servobench.virtual_bus.drive.user_units import UserUnits
 
 _WAKE_WHILE_STOPPING_NS: Final = NS_PER_MS

@@ -14,7 +14,7 @@ from typing import Self
 
 from servobench.drivers.bounded_file import NamedBy, read_lines
 from servobench.drivers.timebase import Duration, Instant
-from servobench.drivers.wire.identifiers import EXTENDED_FLAG
+from servobench.drivers.wire.frame_port import EXTENDED_FLAG
 from servobench.virtual_bus.bus.judge import LOST, Direction, Judge
 from servobench.virtual_bus.core.native import Fates
 from servobench.virtual_bus.core.native import Queue as Queue

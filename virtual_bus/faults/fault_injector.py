@@ -14,9 +14,9 @@ so at a probability p a frame takes 1 / (1 - p) attempts in the mean.
 from collections.abc import Callable
 
 from servobench.drivers.timebase import Instant
-from servobench.drivers.wire.identifiers import EXTENDED_FLAG, STANDARD_ID_MAX
-from servobench.virtual_bus.bus.bit_length import frame_bits
+from servobench.drivers.wire.frame_port import EXTENDED_FLAG, STANDARD_ID_MAX
 from servobench.virtual_bus.bus.disturbance import Disturbance
+from servobench.virtual_bus.bus.frame_image import frame_bits
 from servobench.virtual_bus.bus.judge import Direction
 from servobench.virtual_bus.faults.fates import FateSource, RecordedFaults, Route
 from servobench.virtual_bus.faults.fault_log import KIND_CODES, FaultLog

@@ -36,7 +36,7 @@ from typing import Any, Final, NamedTuple
 
 from servobench.drivers.bounded_file import parse_json
 from servobench.drivers.errors import BadInput
-from servobench.drivers.wire.identifiers import EXTENDED_FLAG, EXTENDED_ID_MAX, STANDARD_ID_MAX
+from servobench.drivers.wire.frame_port import EXTENDED_FLAG, EXTENDED_ID_MAX, STANDARD_ID_MAX
 from servobench.virtual_bus.bus.judge import Direction
 from servobench.virtual_bus.core import native
 from servobench.virtual_bus.faults.fault_table import NONE, LogNumber

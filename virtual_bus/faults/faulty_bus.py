@@ -20,8 +20,7 @@ import can.typechecking
 from can.broadcastmanager import CyclicSendTaskABC
 
 from servobench.drivers.timebase import NEVER, NS_PER_S, Clock, Instant
-from servobench.drivers.wire.frame_port import FramePort
-from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.drivers.wire.frame_port import ERROR_FLAG, FramePort
 from servobench.drivers.wire.message import frame_of, message_of
 from servobench.drivers.wire.message_port import MessagePort, StampSource
 from servobench.virtual_bus.bus.host_port import HostPort

@@ -16,7 +16,7 @@ from pydantic import Field, PlainValidator, model_validator
 from servobench.drivers.canopen.nmt_states import NODE_ID_MAX
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NEVER
-from servobench.drivers.wire.identifiers import EXTENDED_ID_MAX, STANDARD_ID_MAX
+from servobench.drivers.wire.frame_port import EXTENDED_ID_MAX, STANDARD_ID_MAX
 from servobench.virtual_bus.bus.judge import Direction
 from servobench.virtual_bus.core import native
 from servobench.virtual_bus.core.native import Hold as Hold

@@ -9,8 +9,7 @@ import can
 
 from servobench.drivers.errors import BusDown
 from servobench.drivers.timebase import NEVER, NS_PER_MS, Clock, Instant
-from servobench.drivers.wire.frame_port import FramePort
-from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.drivers.wire.frame_port import ERROR_FLAG, FramePort
 from servobench.drivers.wire.message_port import MessagePort, StampSource
 from servobench.virtual_bus.bus.controller import ErrorState
 from servobench.virtual_bus.bus.error_message import told_bus_off

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, cast
 from servobench.drivers.canopen.error_codes import ErrorRegister
 from servobench.drivers.canopen.objects301 import is_mapping
 from servobench.drivers.timebase import NEVER, Instant
-from servobench.drivers.wire.identifiers import EXTENDED_FLAG
+from servobench.drivers.wire.frame_port import EXTENDED_FLAG
 from servobench.virtual_bus.bus.judge import Direction
 from servobench.virtual_bus.bus.port import Port
 from servobench.virtual_bus.core.native import HeldFrames

@@ -26,7 +26,7 @@ from typing import BinaryIO, Final, NamedTuple, cast
 
 from servobench.drivers.errors import MISSING, BadInput, printable
 from servobench.drivers.timebase import NS_PER_S
-from servobench.drivers.wire.identifiers import (
+from servobench.drivers.wire.frame_port import (
     ERROR_FLAG,
     EXTENDED_FLAG,
     EXTENDED_ID_MAX,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servobench.drivers.timebase import NS_PER_MS
-from servobench.drivers.wire.identifiers import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_ID_MAX, REMOTE_FLAG
+from servobench.drivers.wire.frame_port import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_ID_MAX, REMOTE_FLAG
 from servobench.hil.rows.frames_file import (
     BATCH,
     INDEX_DTYPE,

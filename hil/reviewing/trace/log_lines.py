@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 from servobench.drivers.lean_can import mf4_reader
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US
-from servobench.drivers.wire.identifiers import ERROR_FLAG, EXTENDED_ID_MAX, STANDARD_ID_MAX
+from servobench.drivers.wire.frame_port import ERROR_FLAG, EXTENDED_ID_MAX, STANDARD_ID_MAX
 from servobench.hil.reviewing.trace.frame_columns import (
     CLASSICAL_BYTES_MAX,
     FD_BYTES_MAX,

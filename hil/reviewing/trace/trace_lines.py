@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from servobench.drivers.canopen.cob_ids import NODE_BITS, SDO_ANSWER, SDO_REQUEST, SYNC
 from servobench.drivers.errors import printable
 from servobench.drivers.timebase import NS_PER_S
-from servobench.drivers.wire.identifiers import STANDARD_ID_MAX
+from servobench.drivers.wire.frame_port import STANDARD_ID_MAX
 from servobench.hil.reviewing.trace.decoder import BusDecoder
 from servobench.hil.reviewing.trace.frame_columns import CLASSICAL_BYTES_MAX, FrameColumns
 from servobench.hil.reviewing.trace.node_objects import KnownNodes

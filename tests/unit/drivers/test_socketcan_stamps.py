@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Instant, MonotonicClock, wall_between
-from servobench.drivers.wire.frame_port import EchoBasis, WireFrame
-from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.drivers.wire.frame_port import ERROR_FLAG, EchoBasis, WireFrame
 from servobench.drivers.wire.socketcan import SocketcanPort
 from servobench.drivers.wire.socketcan_stamps import (
     ANCILLARY_BYTES,

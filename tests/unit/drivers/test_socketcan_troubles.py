@@ -12,8 +12,7 @@ import can
 import pytest
 
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock, wall_between
-from servobench.drivers.wire.frame_port import EchoBasis, WireFrame
-from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.drivers.wire.frame_port import ERROR_FLAG, EchoBasis, WireFrame
 from servobench.drivers.wire.socketcan import SocketcanPort
 from servobench.drivers.wire.socketcan_stamps import (
     SO_RXQ_OVFL,

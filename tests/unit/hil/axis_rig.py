@@ -7,10 +7,9 @@ from servobench.drivers.exchange import Command, DemandChange, Readback, Reading
 from servobench.drivers.timebase import Instant
 from servobench.drivers.wire.frame_port import EchoBasis
 from servobench.hil.loop.axis import Axis
-from servobench.hil.loop.axis_roles import Compensator, Controller
-from servobench.hil.loop.context import Context
 from servobench.hil.loop.cycle_record import CycleRecord
-from servobench.hil.loop.decision import Tick
+from servobench.hil.loop.delay import Tick
+from servobench.hil.loop.protocol import Compensator, Context, Controller
 from servobench.hil.loop.safety import TorqueLimits
 from servobench.hil.loop.samples import AT_REST, Sample, StateEstimate
 from servobench.hil.loop.syncs import SyncLog

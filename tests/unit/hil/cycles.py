@@ -2,8 +2,7 @@
 
 from servobench.drivers.exchange import Command
 from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
-from servobench.hil.loop.axis_roles import Controller
-from servobench.hil.loop.context import Context, TorqueSetPoint
+from servobench.hil.loop.protocol import Context, Controller, TorqueSetPoint
 from servobench.hil.loop.samples import AT_REST, StateEstimate
 from servobench.hil.loop.scenario import ReferenceProfile
 

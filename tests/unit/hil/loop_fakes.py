@@ -11,11 +11,17 @@ from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 from servobench.drivers.wire.frame_port import UNTOLD, EchoBasis
 from servobench.hil.control.compensation import Arrival
 from servobench.hil.loop.axis import Axis, AxisParts
-from servobench.hil.loop.axis_roles import Compensator, Controller
-from servobench.hil.loop.context import Context, SetPoint, SpeedSetPoint, TorqueSetPoint
 from servobench.hil.loop.cycle_record import CycleRecord
 from servobench.hil.loop.loop import Actuation, Loop, LoopTiming
 from servobench.hil.loop.pace import OwnSync
+from servobench.hil.loop.protocol import (
+    Compensator,
+    Context,
+    Controller,
+    SetPoint,
+    SpeedSetPoint,
+    TorqueSetPoint,
+)
 from servobench.hil.loop.safety import SafetyGuard, SpeedLimits, TorqueLimits
 from servobench.hil.loop.scenario import LevelStep, Quantity, ReferenceProfile
 from servobench.hil.loop.syncs import SyncLog

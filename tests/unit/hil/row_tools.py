@@ -8,7 +8,6 @@ import numpy as np
 
 from servobench.drivers.exchange import Command, Reading
 from servobench.drivers.timebase import Duration, Instant
-from servobench.hil.loop.context import CHANNELS_MAX
 from servobench.hil.loop.cycle_record import (
     CAUSES,
     COMMAND_FATES,
@@ -18,6 +17,7 @@ from servobench.hil.loop.cycle_record import (
     CycleRecord,
     row_of,
 )
+from servobench.hil.loop.protocol import CHANNELS_MAX
 from servobench.hil.loop.samples import Dropout, Sample, Sending, StateEstimate
 from servobench.hil.rows.records import ROW_DTYPE, Rows
 

@@ -4,10 +4,9 @@ import pytest
 
 from servobench.drivers.exchange import DemandChange
 from servobench.drivers.timebase import Duration, Instant
-from servobench.hil.loop.axis_roles import Controller
 from servobench.hil.loop.clock_map import STAMP_RESOLUTION
-from servobench.hil.loop.context import Context, SetPoint, TorqueSetPoint
 from servobench.hil.loop.order_question import PROBE_AFTER
+from servobench.hil.loop.protocol import Context, Controller, SetPoint, TorqueSetPoint
 from servobench.hil.loop.samples import CommandFate
 from tests.unit.hil.axis_rig import DELAY, HORIZON, TAUGHT, Rig
 from tests.unit.hil.loop_fakes import (

@@ -10,9 +10,8 @@ from servobench.drivers.errors import LimitExceeded
 from servobench.drivers.exchange import Command
 from servobench.drivers.timebase import Duration, Instant
 from servobench.hil.loop.axis import Axis
-from servobench.hil.loop.axis_roles import Controller
-from servobench.hil.loop.context import Context, PositionSetPoint, SetPoint, TorqueSetPoint
 from servobench.hil.loop.cycle_record import CycleRecord
+from servobench.hil.loop.protocol import Context, Controller, PositionSetPoint, SetPoint, TorqueSetPoint
 from servobench.hil.loop.safety import PositionLimits, SafetyGuard, TorqueLimits
 from servobench.hil.loop.samples import CommandFate, Dropout, DropoutCause, Sample, StateEstimate
 from servobench.hil.loop.scenario import LevelStep, Quantity, Ramp, ReferenceProfile

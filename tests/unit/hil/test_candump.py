@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from servobench.drivers.wire.identifiers import EXTENDED_FLAG, REMOTE_FLAG
+from servobench.drivers.wire.frame_port import EXTENDED_FLAG, REMOTE_FLAG
 from servobench.hil.reviewing.frames_export import candump_lines
 from servobench.hil.rows.side_rows import FRAME, FRAME_DTYPE
 

@@ -15,9 +15,8 @@ from servobench.hil.commissioning import exercise
 from servobench.hil.commissioning.exercise import EnergyMeter, Exerciser, speed_limits, torque_limits
 from servobench.hil.commissioning.request import Nameplate, motion_limits
 from servobench.hil.execution.drive_session import DriveSession
-from servobench.hil.loop.axis_roles import Controller
-from servobench.hil.loop.context import Context, SetPoint, TorqueSetPoint
 from servobench.hil.loop.pace import CALIBRATION_SYNCS
+from servobench.hil.loop.protocol import Context, Controller, SetPoint, TorqueSetPoint
 from servobench.hil.loop.safety import SafetyGuard
 from servobench.hil.loop.scenario import LevelStep, Quantity
 from servobench.hil.loop.syncs import SyncLog

@@ -28,8 +28,7 @@ from servobench.hil.commissioning.request import (
     load_nameplate,
     motion_limits,
 )
-from servobench.hil.loop.axis_roles import Controller
-from servobench.hil.loop.context import Context, SetPoint, TorqueSetPoint
+from servobench.hil.loop.protocol import Context, Controller, SetPoint, TorqueSetPoint
 from servobench.hil.loop.samples import StateEstimate
 from tests.unit.hil.cycles import advance, torque_of
 

@@ -4,7 +4,7 @@ import random
 
 from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 from servobench.hil.control.compensation import Arrival, Stamp
-from servobench.hil.loop.context import Context
+from servobench.hil.loop.protocol import Context
 from servobench.hil.loop.samples import AT_REST, Sample
 from tests.unit.hil.cycles import in_cycle
 from tests.unit.hil.loop_fakes import reading_at

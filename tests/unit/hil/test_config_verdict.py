@@ -6,7 +6,7 @@ import pytest
 
 from servobench.drivers.canopen.pdo_budget import frame_bits_max
 from servobench.hil.configuration.bench_file import load_bench
-from servobench.virtual_bus.bus.bit_length import INTERMISSION_BITS, frame_bits
+from servobench.virtual_bus.bus.frame_image import INTERMISSION_BITS, frame_bits
 from servobench.virtual_bus.frame import Frame
 
 EXAMPLES = Path(__file__).parents[3] / "examples"

@@ -6,7 +6,7 @@ import pytest
 
 from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.hil.control.controllers import Pid, PidGains, StateFeedback
-from servobench.hil.loop.axis_roles import Controller
+from servobench.hil.loop.protocol import Controller
 from servobench.hil.loop.samples import StateEstimate
 from tests.unit.hil.cycles import advance, torque_of
 

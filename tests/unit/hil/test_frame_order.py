@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S
-from servobench.drivers.wire.identifiers import ERROR_FLAG, EXTENDED_FLAG
+from servobench.drivers.wire.frame_port import ERROR_FLAG, EXTENDED_FLAG
 from servobench.hil.recording.frame_files import JITTER_NS, SILENCE_NS, FrameOrder
 from servobench.hil.rows.side_rows import FRAME, FRAME_DTYPE
 

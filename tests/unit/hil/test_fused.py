@@ -13,8 +13,8 @@ from servobench.drivers.errors import BadInput
 from servobench.drivers.exchange import Command, Reading
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from servobench.hil.configuration.controller_kinds import ControllerFile
-from servobench.hil.control.fused import STRAYS, FusedPredictor
-from servobench.hil.loop.context import Context
+from servobench.hil.control.predictor import STRAYS, FusedPredictor
+from servobench.hil.loop.protocol import Context
 from servobench.hil.loop.samples import Sample, StateEstimate
 from servobench.hil.loop.scenario import ReferenceProfile
 from tests.unit.hil.test_config import load, tables

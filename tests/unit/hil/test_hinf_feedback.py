@@ -11,9 +11,9 @@ from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 from servobench.hil.configuration.bench_file import load_controller
 from servobench.hil.configuration.controller_kinds import HinfSection
 from servobench.hil.configuration.motor_file import LING2012
-from servobench.hil.control.hinf import HinfFeedback
+from servobench.hil.control.controllers import HinfFeedback
 from servobench.hil.control.setup import Setup
-from servobench.hil.loop.context import Context, TorqueSetPoint
+from servobench.hil.loop.protocol import Context, TorqueSetPoint
 from servobench.hil.loop.samples import StateEstimate
 from servobench.hil.loop.scenario import Ramp, ReferenceProfile
 

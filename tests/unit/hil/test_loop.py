@@ -10,10 +10,10 @@ from servobench.drivers.errors import DriveInFault, LimitExceeded, NoAnswer
 from servobench.drivers.exchange import Command, SentCommand, SpeedCommand
 from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 from servobench.hil.control.compensation import Stamp
-from servobench.hil.loop.axis_roles import Controller
 from servobench.hil.loop.cycle_record import CycleRecord
 from servobench.hil.loop.loop import Actuation, LoopOutcome
 from servobench.hil.loop.pace import CALIBRATION_SYNCS, CALIBRATION_SYNCS_MAX
+from servobench.hil.loop.protocol import Controller
 from servobench.hil.loop.safety import SpeedLimits, TorqueLimits
 from servobench.hil.loop.samples import Dropout, DropoutCause, Sample, StateEstimate
 from tests.unit.hil.loop_fakes import (

@@ -14,8 +14,7 @@ from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 from servobench.hil.configuration.motor_file import LING2012
 from servobench.hil.control.own_code import OwnCodeFailed, guarded_compensator, guarded_controller, source_of
 from servobench.hil.control.setup import Setup
-from servobench.hil.loop.axis_roles import Compensator, Controller
-from servobench.hil.loop.context import CHANNELS_MAX, TorqueSetPoint
+from servobench.hil.loop.protocol import CHANNELS_MAX, Compensator, Controller, TorqueSetPoint
 from servobench.hil.loop.samples import AT_REST
 from tests.unit.hil.cycles import in_cycle
 

@@ -23,7 +23,7 @@ from servobench.hil.control.own_code import (
     object_of,
     source_of,
 )
-from servobench.hil.loop.context import TorqueSetPoint
+from servobench.hil.loop.protocol import TorqueSetPoint
 from tests.unit.hil.cycles import in_cycle
 from tests.unit.hil.test_own_code import CODE, SETUP, controller, line_of
 

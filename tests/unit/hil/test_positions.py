@@ -5,8 +5,8 @@ import math
 import pytest
 
 from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
-from servobench.hil.control.positions import PositionLoop, SetPointStream
-from servobench.hil.loop.context import Context, PositionSetPoint, SpeedSetPoint, TorqueSetPoint
+from servobench.hil.control.controllers import PositionLoop, SetPointStream
+from servobench.hil.loop.protocol import Context, PositionSetPoint, SpeedSetPoint, TorqueSetPoint
 from servobench.hil.loop.samples import StateEstimate
 from servobench.hil.loop.scenario import Quantity, Ramp, ReferenceProfile, Segment
 

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from servobench.design.speed.predictor_plant import PredictorPlant
 from servobench.drivers.exchange import Command, Reading
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from servobench.hil.control.load_filter import STEP_SIGMAS, FilterNoise
-from servobench.hil.control.motion import ShaftMotion
+from servobench.hil.control.load_filter import STEP_SIGMAS, FilterNoise, ShaftMotion
 from servobench.hil.control.predictor import LoadCancelling, Predictor
-from servobench.hil.loop.context import Context, TorqueSetPoint
+from servobench.hil.loop.protocol import Context, TorqueSetPoint
 from servobench.hil.loop.samples import Sample, StateEstimate
 from servobench.hil.loop.scenario import Ramp, ReferenceProfile
 

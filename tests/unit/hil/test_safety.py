@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from servobench.drivers.exchange import Command, PositionCommand, SpeedCommand
 from servobench.drivers.timebase import Instant
-from servobench.hil.loop.context import (
+from servobench.hil.loop.protocol import (
     PositionSetPoint,
     SetPoint,
     SpeedSetPoint,

@@ -6,7 +6,7 @@ import pytest
 
 from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 from servobench.drivers.wire.adapters import parse_bus_spec
-from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.drivers.wire.frame_port import ERROR_FLAG
 from servobench.hil.configuration.config import BusSegment
 from servobench.hil.execution.world import World, WorldPlan, open_world
 from servobench.virtual_bus.drive.servo import SimulatedServo

@@ -15,7 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 from servobench.drivers.timebase import Duration, Instant
-from servobench.drivers.wire.identifiers import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from servobench.drivers.wire.frame_port import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from servobench.hil.cli import app
 from servobench.hil.recording.frame_files import FrameFiles
 from servobench.hil.reviewing.trace.bus_log import BusLog

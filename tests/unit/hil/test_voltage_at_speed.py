@@ -21,7 +21,7 @@ from servobench.hil.commissioning.steps_voltage import (
     _judge,
     dc_link_v,
 )
-from servobench.hil.loop.context import TorqueSetPoint
+from servobench.hil.loop.protocol import TorqueSetPoint
 from servobench.hil.loop.samples import StateEstimate
 from servobench.hil.loop.scenario import Quantity
 from tests.unit.hil.cycles import in_cycle

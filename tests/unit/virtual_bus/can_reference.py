@@ -1,4 +1,4 @@
-"""A slow CAN frame on the wire, bit by bit in strings: the oracle for servobench.virtual_bus.bus.bit_length.
+"""A slow CAN frame on the wire, bit by bit in strings: the oracle for servobench.virtual_bus.bus.frame_image.
 
 Written from the fields of ISO 11898-1 and with polynomial long division for the CRC, so that
 it shares neither code nor method with the compiled count.

@@ -8,10 +8,10 @@ from servobench.drivers.canopen.error_codes import ErrorRegister
 from servobench.drivers.canopen.nmt_states import NmtState
 from servobench.drivers.canopen.objects301 import DataType, mapping_word
 from servobench.drivers.timebase import NS_PER_MS, Instant
-from servobench.virtual_bus.device.application import Application, CommunicationLoss, DeviceServices
 from servobench.virtual_bus.device.canopen_device import CanopenDevice
 from servobench.virtual_bus.device.device_options import DeviceOptions, PdoDefault
 from servobench.virtual_bus.device.object_dictionary import Access
+from servobench.virtual_bus.device.station import Application, CommunicationLoss, DeviceServices
 from servobench.virtual_bus.frame import Frame
 
 NODE = 5

@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from servobench.virtual_bus.bus.bit_length import (
+from servobench.virtual_bus.bus.frame_image import (
     INTERMISSION_BITS,
     LONGEST_FRAME_BITS,
     bits_duration,

@@ -4,8 +4,8 @@ import pytest
 
 from servobench.drivers.canopen.cob_ids import NO_RTR, NOT_VALID
 from servobench.drivers.canopen.objects301 import mapping_word
-from servobench.virtual_bus.device.application import CommunicationLoss
 from servobench.virtual_bus.device.device_options import DeviceOptions, PdoDefault
+from servobench.virtual_bus.device.station import CommunicationLoss
 from servobench.virtual_bus.frame import Frame
 from tests.unit.virtual_bus.device_bench import (
     LEVEL,

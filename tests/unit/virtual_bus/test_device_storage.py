@@ -7,10 +7,10 @@ import pytest
 from servobench.drivers.canopen.nmt_states import NmtState
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import Instant
-from servobench.virtual_bus.device.application import CommunicationLoss
 from servobench.virtual_bus.device.canopen_device import CanopenDevice
 from servobench.virtual_bus.device.parameter_storage import FileStore, MemoryStore
 from servobench.virtual_bus.device.sdo_abort import AbortCode
+from servobench.virtual_bus.device.station import CommunicationLoss
 from tests.unit.virtual_bus.device_bench import (
     DEFAULTS,
     LEVEL,

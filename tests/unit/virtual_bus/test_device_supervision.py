@@ -5,9 +5,9 @@ import pytest
 from servobench.drivers.canopen.error_codes import ErrorRegister
 from servobench.drivers.canopen.nmt_states import NmtState
 from servobench.drivers.timebase import Instant
-from servobench.virtual_bus.device.application import CommunicationLoss
 from servobench.virtual_bus.device.device_options import DeviceOptions
 from servobench.virtual_bus.device.sdo_abort import AbortCode
+from servobench.virtual_bus.device.station import CommunicationLoss
 from servobench.virtual_bus.frame import Frame
 from tests.unit.virtual_bus.device_bench import (
     DEFAULTS,

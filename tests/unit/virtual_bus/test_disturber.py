@@ -6,7 +6,7 @@ import pytest
 from scipy import stats
 
 from servobench.drivers.timebase import Instant
-from servobench.virtual_bus.bus.bit_length import frame_bits
+from servobench.virtual_bus.bus.frame_image import frame_bits
 from servobench.virtual_bus.bus.port import Listener
 from servobench.virtual_bus.bus.segment import CanSegment
 from servobench.virtual_bus.faults.fates import RecordedFaults

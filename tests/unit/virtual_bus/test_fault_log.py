@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import Duration, Instant
-from servobench.drivers.wire.identifiers import EXTENDED_FLAG
+from servobench.drivers.wire.frame_port import EXTENDED_FLAG
 from servobench.virtual_bus.bus.judge import Direction
 from servobench.virtual_bus.faults.fates import FateSource, RecordedFaults, ReplayedFates, read_recorded
 from servobench.virtual_bus.faults.fault_injector import FaultInjector

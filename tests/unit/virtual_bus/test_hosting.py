@@ -17,9 +17,9 @@ from servobench.drivers.wire.frame_port import FramePort
 from servobench.virtual_bus.bus.port import Listener
 from servobench.virtual_bus.bus.segment import CanSegment
 from servobench.virtual_bus.bus.simulated_bus import SimulatedBus
-from servobench.virtual_bus.device.application import CommunicationLoss
 from servobench.virtual_bus.device.canopen_device import CanopenDevice
 from servobench.virtual_bus.device.device_options import DeviceOptions
+from servobench.virtual_bus.device.station import CommunicationLoss
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from servobench.virtual_bus.frame import Device, Frame
 from servobench.virtual_bus.hosting.devices import AttachedDevice, serve

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from servobench.drivers.canopen.objects301 import BITS, SIGNED_BITS, DataType
 from servobench.virtual_bus.core.native import SIGNED, PdoCodec
 from servobench.virtual_bus.device.object_dictionary import Variable
-from servobench.virtual_bus.device.pdo_codec import Field, compiled
+from servobench.virtual_bus.device.pdo_parameters import Field, compiled
 
 WHOLE = (
     DataType.BOOLEAN,
