@@ -22,7 +22,7 @@ def recover(
       hil recover runs/killed   # a run that was killed
     """
     from servobench.hil.configuration.bench_file import load_bench
-    from servobench.hil.execution.recorded_bench import recover_run, refuse_whole
+    from servobench.hil.execution.recovered_run import recover_run, refuse_whole
     from servobench.hil.terminal.report import print_run
 
     refuse_whole(run)

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 from servobench.hil.campaign.campaign import Campaign, run_campaign
 from servobench.hil.campaign.store import schema_of, stored_runs
 from servobench.hil.configuration.bench_file import Bench, load_bench
-from servobench.hil.execution.recorded_bench import recover_run
+from servobench.hil.execution.recovered_run import recover_run
 from servobench.hil.rows.run_files import LOGGER_LOG, PRINTED_FILE, SEAL_FILE, SUMMARY_FILE
 from servobench.hil.rows.seal import check_seal
 from tests.unit.hil.recorded_runs import BENCH, short_run

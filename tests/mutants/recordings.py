@@ -11,7 +11,7 @@ import numpy as np
 
 from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.hil.configuration.bench_file import load_bench
-from servobench.hil.execution.recorded_bench import recover_run, refuse_whole
+from servobench.hil.execution.recovered_run import recover_run, refuse_whole
 from servobench.hil.recording.log_files import EventsKeeper, FramesKeeper, LoadKeeper, RecordsKeeper
 from servobench.hil.recording.logger_process import RecordingFailed
 from servobench.hil.rows.side_rows import (

@@ -13,7 +13,7 @@ from typer.testing import CliRunner, Result
 from servobench.drivers.canopen.write_list import WriteList
 from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.hil.cli import app
-from servobench.hil.execution import recorded_bench, world
+from servobench.hil.execution import recovered_run, world
 from servobench.hil.inspecting import live_trace, stopping
 from servobench.hil.inspecting.stopping import NodeStopped
 from servobench.hil.machine import realtime
@@ -150,7 +150,7 @@ def test_a_run_is_recovered_by_its_own_bench(tmp_path: Path, monkeypatch: pytest
         asked.append((config.bench.name, folder))
         return summary
 
-    monkeypatch.setattr(recorded_bench, "recover_run", recover)
+    monkeypatch.setattr(recovered_run, "recover_run", recover)
     monkeypatch.setattr(report, "print_run", lambda config, done: print(config.bench.name, done.as_json()))
     text = BENCH.read_text().replace('"motors/', f'"{BENCH.parent}/motors/')
     (tmp_path / "bench.toml").write_text(text.replace('"faults/', f'"{BENCH.parent}/faults/'))
