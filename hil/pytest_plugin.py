@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import pytest
 
 if TYPE_CHECKING:
-    from servobench.hil.testing.bench_runs import BenchRunner, CampaignRunner
+    from servobench.hil.testing.bench_runs import BenchRunner
+    from servobench.hil.testing.campaign_runs import CampaignRunner
     from servobench.hil.testing.drive_rig import DriveRig
     from servobench.hil.testing.hosted import DriveHost, DriveProcess
 
@@ -226,7 +227,7 @@ def servo_campaign(
 ) -> "CampaignRunner":
     """Run a sweep in simulated time: ``servo_campaign("sweep.toml").assert_pass_rate(at_least=0.99)``."""
     try:
-        from servobench.hil.testing.bench_runs import CampaignRunner
+        from servobench.hil.testing.campaign_runs import CampaignRunner
     except ModuleNotFoundError as error:
         from servobench.hil.machine.extras import missing_extra
 

@@ -27,7 +27,7 @@ from servobench.hil.campaign.worker import NotTheSame
 from servobench.hil.cli import app
 from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.machine.stopping import Interrupted, StopRequest
-from servobench.hil.testing.bench_runs import CampaignRunner
+from servobench.hil.testing.campaign_runs import CampaignRunner
 from tests.rrd_columns import columns
 
 ROOT = Path(__file__).parents[2]

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from servobench.hil.campaign.campaign import CounterExample, NothingCertified, run_campaign
 from servobench.hil.cli import app
 from servobench.hil.configuration.config_files import toml_text
-from servobench.hil.testing.bench_runs import CampaignRunner
+from servobench.hil.testing.campaign_runs import CampaignRunner
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 NETWORK_K = EXAMPLES / "controllers" / "network-k.toml"

@@ -11,7 +11,8 @@ import pytest
 
 from servobench.drivers.errors import DriveInFault
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
-from servobench.hil.testing.bench_runs import BenchRunner, CampaignRunner
+from servobench.hil.testing.bench_runs import BenchRunner
+from servobench.hil.testing.campaign_runs import CampaignRunner
 from servobench.hil.testing.run import Run
 from tests.scenario.processes import EXAMPLES
 from tests.swarm.following import CYCLES_MAX, OF_FOLLOWING, seen_on_the_wire

@@ -10,7 +10,7 @@ from typing import cast
 import pytest
 
 from servobench.drivers.timebase import Instant
-from servobench.hil.testing.bench_runs import CampaignRunner
+from servobench.hil.testing.campaign_runs import CampaignRunner
 from servobench.hil.testing.wire import SeenFrame
 from tests.swarm import witness
 from tests.swarm.__main__ import CASES

@@ -16,8 +16,9 @@ from servobench.hil.configuration.motor_file import LING2012, load_motor
 from servobench.hil.machine.stopping import Interrupted, StopRequest
 from servobench.hil.recording.recorder import recorder_of
 from servobench.hil.recording.run_recorder import MemoryRecorder
-from servobench.hil.testing import bench_runs
-from servobench.hil.testing.bench_runs import BenchRunner, CampaignRunner
+from servobench.hil.testing import bench_runs, campaign_runs
+from servobench.hil.testing.bench_runs import BenchRunner
+from servobench.hil.testing.campaign_runs import CampaignRunner
 from servobench.hil.testing.signals import with_signals
 from servobench.hil.verdict.summary import Summary
 from servobench.hil.verdict.verdict import Finding, VerdictKind
@@ -230,7 +231,7 @@ def test_campaigns_run_a_sweep_or_its_tables_side_by_side(
         ran.append((sweep, out.name, workers))
         return "a campaign"
 
-    monkeypatch.setattr(bench_runs, "run_campaign", run_campaign)
+    monkeypatch.setattr(campaign_runs, "run_campaign", run_campaign)
     its = CampaignRunner(tmp_path, EXAMPLES)
     assert its("sweep.toml") == "a campaign"  # type: ignore[comparison-overlap]
     tables = {"campaign": {"name": "x", "bench": "ling2012.toml"}}

@@ -11,7 +11,7 @@ import pytest
 
 from servobench.drivers.wire import adapters
 from servobench.hil import pytest_plugin
-from servobench.hil.testing import bench_runs, drive_rig, hosted
+from servobench.hil.testing import bench_runs, campaign_runs, drive_rig, hosted
 
 pytest_plugins = ["pytester"]
 
@@ -264,7 +264,7 @@ def test_recordings_are_kept_where_the_command_line_says(
 
 def test_campaigns_have_a_folder_of_their_own(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:
     given: list[Any] = []
-    monkeypatch.setattr(bench_runs, "CampaignRunner", lambda *what: given.append(what) or "runner")  # type: ignore[func-returns-value]
+    monkeypatch.setattr(campaign_runs, "CampaignRunner", lambda *what: given.append(what) or "runner")  # type: ignore[func-returns-value]
     outcomes, noted, _ = project.run("def test_campaign(servo_campaign):\n    note(servo_campaign)\n")
     assert (outcomes, noted) == ({"passed": 1}, ["runner"])
     ((scratch, folder),) = given
