@@ -33,6 +33,8 @@ from servobench.design.statespace import Array, ComplexArray, StateSpace, Zpk, c
 
 RELATIVE = 5e-4
 """Relative gap between the bound and the value reached."""
+_EQUAL = 1e-9
+"""Motors whose sensitivities differ by less are equally bad: the first is told, on every machine."""
 _INTERVALS = 600
 """Intervals of the first pass. Any number from 10 to 2400 ends at the same bound in the same time: they are
 halved until they close."""
@@ -133,7 +135,7 @@ def _largest(box: AxisBox, form: Zpk, omega: Array) -> tuple[Array, Array, Array
     candidates = np.array([x + 1j * y for x, y in points])
     with np.errstate(divide="ignore"):
         S = np.abs(candidates / (candidates + k))
-    best = np.argmax(S, axis=0)
+    best = np.argmax((1.0 - _EQUAL) * S.max(axis=0) <= S, axis=0)
     at = candidates[best, np.arange(len(omega))]
     pole_inside = (x1 <= -k.real) & (-k.real <= x2) & (y1 <= -k.imag) & (-k.imag <= y2)
     return np.where(pole_inside, math.inf, S.max(axis=0)), at.real, at.imag / omega

@@ -28,8 +28,15 @@ _OWN_PERIOD_S = 2.0
 
 
 def largest_gain(system: StateSpace, frequency_rad_s: Array) -> Array:
-    """Return the (k,) largest singular value at the k frequencies, rad/s."""
-    return np.asarray(np.linalg.norm(system.response(frequency_rad_s), 2, axis=(1, 2)), dtype=float)
+    """Return the (k,) largest singular value at the k frequencies, rad/s; infinite at a pole."""
+    try:
+        return np.asarray(np.linalg.norm(system.response(frequency_rad_s), 2, axis=(1, 2)), dtype=float)
+    except np.linalg.LinAlgError:  # one of them is a pole, to rounding
+        if len(frequency_rad_s) == 1:
+            return np.array([math.inf])
+        return np.concatenate(
+            [largest_gain(system, frequency_rad_s[k : k + 1]) for k in range(len(frequency_rad_s))]
+        )
 
 
 def hinf_norm(system: StateSpace) -> Peak:

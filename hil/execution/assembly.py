@@ -148,7 +148,8 @@ def tell_changes(config: BenchConfig, servos: "Sequence[SimulatedServo]", record
         if change.text:
             recorder.event(change.at, "WARN" if change.limits else "INFO", f"{axis}: {change.text}")
 
-    for axis, servo in zip(config.axes, servos, strict=True):
+    # drives beyond the axes are company on the bus
+    for axis, servo in zip(config.axes, servos, strict=False):
         PartsWatch(servo.drive, partial(note, axis))
 
 

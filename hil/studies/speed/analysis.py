@@ -129,13 +129,13 @@ def _certified(
 def _certified_delay(
     model: SpeedModel, loop: DelayLoop, order: int | None, exact_s: float
 ) -> tuple[float, int]:
-    """Return the largest delay certified stable, and the order."""
+    """Return the largest delay certified stable, and the lowest order that comes as close to it."""
     if order is not None:
         return certified_delay_s(model, loop, order), order
     best_s, best_order = 0.0, 0
     for tried in range(ORDER_MAX + 1):
         certified_s = certified_delay_s(model, loop, tried)
-        if certified_s > best_s:
+        if certified_s > best_s * CLOSE_ENOUGH:
             best_s, best_order = certified_s, tried
         if best_s * CLOSE_ENOUGH >= exact_s:
             break
