@@ -74,7 +74,7 @@ FAULTS: Final[Mapping[str, Mapping[str, Any]]] = {
     "refused_mapping": {"mapped": "6074"},
     "supply_sag": {"at_s": 0.8, "duration_s": 0.1, "to_percent": 40.0},
     "chopper_off": {"at_s": 0.8, "duration_s": 0.5},
-    "dragging_brake": {"at_s": 0.8, "duration_s": 0.5, "torque_nm": 0.5},
+    "dragging_brake": {"at_s": 0.8, "duration_s": 0.5, "torque_nm": 0.2},
     "loose_coupling": {"at_s": 0.8, "duration_s": 0.5, "stiffness_percent": 50.0},
     "dirty_encoder": {"at_s": 0.8, "duration_s": 0.1, "from_deg": 10.0, "to_deg": 10.5},
     "hot_motor": {"at_s": 0.8, "duration_s": 0.5, "winding_c": 140.0, "magnet_c": 110.0},

@@ -57,6 +57,9 @@ _GAP: Final = 0.13
 _INK: Final = 0.02
 _APART: Final = 40.0
 """CIELAB, to the eye that tells them apart worst."""
+_LINES_APART: Final = 36.0
+"""Likewise for lines, of which the thinnest cover 0.95 of a pixel: the ground in it brings colours 40 apart
+within 38 of each other."""
 _NEVER_TOGETHER: Final = {"the error", "the delay"}
 """Curves that are in no plot together; colours of others may be, in one plot of some axes."""
 
@@ -224,9 +227,9 @@ def confused(picture: Picture) -> Iterator[str]:
         for name, color in lines.items()
         if (drawn := picture.drawn_line(color)) is not None
     }
-    for each in (bars, curves):
+    for each, least in ((bars, _APART), (curves, _LINES_APART)):
         for (one, its), (other, others) in combinations(each.items(), 2):
-            if {one, other} != _NEVER_TOGETHER and apart(its, others) < _APART:
+            if {one, other} != _NEVER_TOGETHER and apart(its, others) < least:
                 yield f"{one} and {other} {apart(its, others):.0f} apart to the colour-blind"
     for name, drawn in bars.items():
         if apart(drawn, picture.ground) < _APART:
