@@ -1,8 +1,7 @@
 """Robustness of a current loop when r_s, L_d and L_q lie within a box about their nominal values.
 
 Two questions, answered apart: does every motor of the box give a stable loop, and how large does the
-weighted sensitivity get. For one axis both have exact answers
-(:mod:`servobench.design.hinf.robustness`); the coupled axes are in
+weighted sensitivity get. For one axis both have exact answers, here; the coupled axes are in
 :mod:`servobench.design.current.coupled_robustness`.
 
 The largest |w S| of any motor in a box: exact at a frequency, bounded between frequencies.

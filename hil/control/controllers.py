@@ -1,9 +1,7 @@
 """Speed controllers: a state estimate and a reference in, a torque out.
 
-What the loop asks of each is :class:`servobench.hil.loop.protocol.Controller`.
-
-Controllers for a drive that closes more than its current loop: a position loop over its speed mode, and
-streams of set-points.
+What the loop asks of each is :class:`servobench.hil.loop.protocol.Controller`. For a drive that closes more
+than its current loop: a position loop over its speed mode, and streams of set-points.
 
     reference position --> P --+--> speed set-point --> the drive's speed loop --> shaft
     its rate ------------------'

@@ -1,7 +1,5 @@
-"""A review as a report in one file: Markdown, or HTML with its pictures in it.
-
-The review of a log as a page: one .html or .md file with its pictures, and in words for the terminal.
-"""
+"""The review of a run or of a log as a report in one file: Markdown, or HTML with its pictures in it. That of
+a log is worded for the terminal too."""
 
 import base64
 import html

@@ -1,7 +1,4 @@
-"""Metadata of a run, stored in records.arrow and as properties of run.rrd.
-
-The room on the disk that is kept for the end of a recording, and its summary.
-"""
+"""Metadata of a run, in records.arrow and run.rrd, and its summary, for which room on the disk is kept."""
 
 import fcntl
 import json

@@ -1,10 +1,8 @@
-"""A frame as levels on the wire, bit by bit, for the attempts that something disturbs.
+"""A classical CAN frame on the wire: its arbitration field, its length with all stuff bits, and its levels.
 
-Undisturbed frames are only counted (servobench.virtual_bus.bus.frame_image), which is far cheaper.
-
-A classical CAN frame on the wire: its arbitration field, and its length with all stuff bits.
-
-ISO 11898-1 (in Bosch's CAN 2.0, part B: 3.2.1 frames, 3.2.5 intermission); core/wire_bits.c counts them.
+Levels are made for the attempts that something disturbs. The bits of others are only counted
+(core/wire_bits.c), which is far cheaper. ISO 11898-1 (in Bosch's CAN 2.0, part B: 3.2.1 frames, 3.2.5
+intermission).
 """
 
 from typing import NamedTuple

@@ -87,7 +87,7 @@ def _numbers(dictionary: ObjectDictionary, first: int) -> list[int]:
 PDO_TOO_SHORT: Final = 0x8210
 PDO_TOO_LONG: Final = 0x8220
 PDO_DEADLINE: Final = 0x8250
-SYNCHRONOUS_TYPE_MAX: Final = 240
+SYNCHRONOUS_CYCLIC_MAX: Final = 240
 
 
 class ReceivePdo(PdoParameters):
@@ -116,7 +116,7 @@ class ReceivePdo(PdoParameters):
             self.station.ignore(self._listening, self._handler)
             self._listening = None
         self.reception.map(compiled(self.fields()))
-        self.reception.synchronous = self.parameter(2) <= SYNCHRONOUS_TYPE_MAX
+        self.reception.synchronous = self.parameter(2) <= SYNCHRONOUS_CYCLIC_MAX
         self.reception.deadline_ns = Duration(self.parameter(5) * NS_PER_MS)
         self._forget()
         # The deadline counts from the next reception, so a change starts from anew.
@@ -179,7 +179,6 @@ class ReceivePdo(PdoParameters):
 
 
 SYNCHRONOUS_ACYCLIC: Final = 0
-SYNCHRONOUS_CYCLIC_MAX: Final = 240
 REMOTE_SYNCHRONOUS: Final = 252
 REMOTE_EVENT: Final = 253
 

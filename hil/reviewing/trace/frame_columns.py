@@ -1,7 +1,5 @@
-"""frames.arrow of a recording as a stream of frames: all, or a window with what that rests on.
-
-A frame as a log has it.
-"""
+"""frames.arrow of a recording as a stream of frames as a log has them: all, or a window with what that rests
+on."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
