@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from servobench import run
@@ -189,3 +190,24 @@ def test_a_protection_that_is_wide_enough_lets_it_pass() -> None:
         "dirty_encoder": [{"at_s": 0.6, "duration_s": 0.1, "from_deg": 90.0, "to_deg": 90.5}],
     }
     assert run(constant(like, plan)).verdict.completed
+
+
+@pytest.mark.parametrize("torque_nm", [0.05, 0.35])
+def test_a_plan_brakes_and_heats_by_its_figures(torque_nm: float) -> None:
+    """At a steady speed a drag asks for its own torque more, and weaker magnets for more of the whole."""
+    plan = {
+        "dragging_brake": [{"at_s": 1.3, "duration_s": 0.3, "torque_nm": torque_nm}],
+        "hot_motor": [{"at_s": 2.0, "duration_s": 0.3, "winding_c": 140.0, "magnet_c": 100.0}],
+    }
+    table = run(constant({}, plan).changed({"bench.duration_s": 2.6})).table
+    at_s = np.asarray(table["sampled_at"]) / NS_PER_S
+    told_nm = np.asarray(table["torque_nm"])
+
+    def mean_nm(begin_s: float, end_s: float) -> float:
+        return float(np.nanmean(told_nm[(begin_s <= at_s) & (at_s < end_s)]))
+
+    free_nm = mean_nm(1.2, 1.3)
+    assert mean_nm(1.5, 1.6) - free_nm == pytest.approx(torque_nm, abs=0.01)
+    assert mean_nm(1.9, 2.0) == pytest.approx(free_nm, abs=0.01)
+    assert mean_nm(2.2, 2.3) * (1.0 - 0.0012 * 80.0) == pytest.approx(free_nm, rel=0.01)
+    assert mean_nm(2.5, 2.6) == pytest.approx(free_nm, abs=0.01)
