@@ -130,23 +130,24 @@ def _run_loop(bench: str, folder: str, counted: bool) -> None:
     def watch(phase: str, elapsed_s: float) -> None:
         nonlocal began_s
         if phase == "running" and elapsed_s == FROM_S:
-            began_s = _processor_s()
+            began_s = processor_s()
             if counted:
-                _switch("on")
+                switch("on")
         elif phase == "running" and elapsed_s == TO_S:
             if counted:
-                _switch("off")
-            print((_processor_s() - began_s) * 1e6 / CYCLES)
+                switch("off")
+            print((processor_s() - began_s) * 1e6 / CYCLES)
 
     run(ROOT / "examples" / bench, record=folder, progress=watch)
 
 
-def _processor_s() -> float:
+def processor_s() -> float:
+    """Time that this process has had of a processor."""
     spent = resource.getrusage(resource.RUSAGE_SELF)
     return spent.ru_utime + spent.ru_stime
 
 
-def _switch(state: str) -> None:
+def switch(state: str) -> None:
     """Have callgrind count from here on, or no longer."""
     command = ["callgrind_control", "--instr=" + state, str(os.getpid())]
     silent = [(os.POSIX_SPAWN_OPEN, 1, os.devnull, os.O_WRONLY, 0)]

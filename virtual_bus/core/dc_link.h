@@ -18,6 +18,8 @@ typedef struct LinkState {
     double volts;
     double chopping;              /* 1: the chopper is closed */
     double supplied_j, chopped_j; /* from the source into the link, and from that into the chopper's resistor */
+    double asked; /* 1: of the motor is known what its windings store, J, and what it turns into heat and motion, W */
+    double stored_j, consumed_w;
 } LinkState;
 
 /* One period in which the inverter takes `watts` out of the link on average. */

@@ -30,16 +30,57 @@ static double arc_tangent(double x)
     return times * x * (1.0 - y * (1.0 / 3.0 - y * (1.0 / 5.0 - y * (1.0 / 7.0 - y * sum))));
 }
 
-/* How far the angle that a line's two signals tell is ahead of the true one, rad of the shaft. */
-static double line_error(const Encoder *p, double angle_rad)
+/* An error and its slope by the angle. */
+typedef struct Course {
+    double rad, slope;
+} Course;
+
+/* How far the angle that a line's two signals tell is ahead of the true one. */
+static Course line_error(const Encoder *p, SineCosine at)
 {
-    double lines = p->lines * angle_rad * PER_TURN;
-    double within_line = (lines - floor(lines)) * TURN_RAD;
-    SineCosine at = sine_cosine(within_line);
     double sine = p->sine_in_phase * at.sine + p->sine_across * at.cosine + p->sine_offset;
     double cosine = at.cosine + p->cosine_offset;
     double across = sine * at.cosine - cosine * at.sine, along = cosine * at.cosine + sine * at.sine;
-    return arc_tangent(across / along) / p->lines;
+    double turning = cosine * (p->sine_in_phase * at.cosine - p->sine_across * at.sine) + sine * at.sine;
+    return (Course){arc_tangent(across / along), turning / (cosine * cosine + sine * sine) - 1.0};
+}
+
+/* Between two ends, with the slopes there: 2e-10 of the error is left out. `step`: rad of the angle. */
+static void set_cubic(double *cubic, Course low, Course high, double step, double scale)
+{
+    double rise = high.rad - low.rad, from = step * low.slope, to = step * high.slope;
+    cubic[0] = scale * low.rad;
+    cubic[1] = scale * from;
+    cubic[2] = scale * (3.0 * rise - 2.0 * from - to);
+    cubic[3] = scale * (from + to - 2.0 * rise);
+}
+
+void tabulate_errors(Encoder *p)
+{
+    const double step = TURN_RAD / ERROR_PARTS;
+    for (int part = 0; part < ERROR_PARTS; part++) {
+        Course line[2], turn[2];
+        for (int end = 0; end < 2; end++) {
+            SineCosine at = sine_cosine((part + end) * step);
+            SineCosine disc = sine_cosine((part + end) * step + p->eccentricity_phase_rad);
+            line[end] = line_error(p, at);
+            turn[end] = (Course){disc.sine, disc.cosine};
+        }
+        set_cubic(p->of_line.cubic[part], line[0], line[1], step, p->sines ? 1.0 / p->lines : 0.0);
+        set_cubic(p->of_turn.cubic[part], turn[0], turn[1], step, p->eccentricity_rad);
+    }
+}
+
+/* `periods`: the angle in periods of the error. */
+static double error_at(const ErrorTable *table, double periods)
+{
+    double place = (periods - floor(periods)) * ERROR_PARTS;
+    if (!(place < ERROR_PARTS)) /* rounded up, or no number */
+        place = 0.0;
+    int part = (int)place;
+    const double *cubic = table->cubic[part];
+    double x = place - part;
+    return cubic[0] + x * (cubic[1] + x * (cubic[2] + x * cubic[3]));
 }
 
 static Place moved(Place from, double by_rad)
@@ -71,11 +112,11 @@ Place encoder_sees(EncoderState *state, const Encoder *p, Place shaft, double sp
         return shaft;
     double back = p->delay_share;
     double late = back * (way(before, shaft) + bend(before_rad_s, speed_rad_s, period_s) * (1.0 - back));
-    double angle = shaft.angle_rad - late, error = 0.0;
+    double turns = (shaft.angle_rad - late) * PER_TURN, error = 0.0;
     if (p->eccentricity_rad != 0.0)
-        error = p->eccentricity_rad * sine_cosine(angle + p->eccentricity_phase_rad).sine;
+        error = error_at(&p->of_turn, turns);
     if (p->sines)
-        error += line_error(p, angle);
+        error += error_at(&p->of_line, p->lines * turns);
     return moved(shaft, error - late);
 }
 

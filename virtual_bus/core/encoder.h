@@ -4,6 +4,13 @@
 
 typedef enum SpeedMethod { SPEED_BY_DIFFERENCE, SPEED_BY_EDGES, SPEED_BY_OBSERVER } SpeedMethod;
 
+enum { ERROR_PARTS = 512 };
+
+/* A periodic error, rad of the shaft, as a cubic in each part of a period. */
+typedef struct ErrorTable {
+    double cubic[ERROR_PARTS][4];
+} ErrorTable;
+
 typedef struct Encoder {
     int active; /* 0: an ideal one, its speed by the difference of counts, and nothing of this counts */
     int distorted; /* it sees the shaft elsewhere than it is */
@@ -18,6 +25,7 @@ typedef struct Encoder {
     double observer_position_gain, observer_speed_gain; /* 1/s and 1/s^2 */
     int loses; /* counts were lost, or are: the disc is dirty */
     double dirt_from, dirt_width; /* of a turn, counts: where no edge is seen; no width: clean */
+    ErrorTable of_line, of_turn;  /* as tabulate_errors made them */
 } Encoder;
 
 /* An angle as whole turns and the rest, 0 <= angle_rad < 2 pi. */
@@ -41,6 +49,9 @@ typedef struct Resolution {
     double counts; /* per turn */
     double counts_per_rad, rad_per_count;
 } Resolution;
+
+/* To be called once what they are of is set. */
+void tabulate_errors(Encoder *p);
 
 /* Where the encoder sees a shaft that is at `shaft` with that speed. To be called at each tick. */
 Place encoder_sees(EncoderState *state, const Encoder *p, Place shaft, double speed_rad_s, double period_s);

@@ -18,6 +18,8 @@ typedef struct FieldControl {
     double floor_a;         /* least i_d */
     double weakest_a;       /* least i_d of the weakening, beside the largest of the table */
     double torque_per_wb;   /* N m per A and Wb: torque factor times pole pairs */
+    double calm_rad_s;      /* faster, a period of the motor takes more steps */
+    double calm_steps, fast_steps;
 } FieldControl;
 
 /* The motor as the drive believes it. */

@@ -39,7 +39,8 @@ static void turn_motor(InnerLoops *self, double load_nm)
         };
         if (self->inverter.dead_share != 0.0) {
             Pair current = {shaft->current_d_a, shaft->current_q_a};
-            SineCosine rotor = sine_cosine(p->pole_pairs * shaft->angle_rad);
+            double electrical = p->pole_pairs * shaft->angle_rad;
+            SineCosine rotor = electrical == self->rotor_rad ? self->rotor : sine_cosine(electrical);
             Pair error = dead_time_voltage(&self->inverter, current, rotor, self->phase_amplitude, link_voltage(self));
             voltage.d += error[0];
             voltage.q += error[1];
@@ -59,24 +60,19 @@ static void turn_motor(InnerLoops *self, double load_nm)
 /* A^2; the energy of a winding is half of its inductance times its current's. */
 static double square(double value) { return value * value; }
 
-/* J in the windings. */
-static double magnetic_energy(const InnerLoops *self)
+/* J in the windings, and W that the motor turns into heat and motion. */
+static void ask_motor(const InnerLoops *self, double *stored_j, double *consumed_w)
 {
     const MotorParameters *p = &self->motor;
     const MotorState *x = &self->shaft;
+    Pair state = electric_state(x, p);
+    double d2 = square(x->current_d_a), q2 = square(x->current_q_a);
+    double heat = p->torque_factor * p->resistance_ohm * (d2 + q2);
     if (p->saturation.active)
-        return p->torque_factor * saturated_energy(&p->saturation, electric_state(x, p));
-    return 0.5 * p->torque_factor
-           * (p->inductance_d_h * square(x->current_d_a) + p->inductance_q_h * square(x->current_q_a));
-}
-
-/* W that the motor turns into heat and motion. */
-static double consumed(const InnerLoops *self)
-{
-    const MotorParameters *p = &self->motor;
-    const MotorState *x = &self->shaft;
-    double heat = p->torque_factor * p->resistance_ohm * (square(x->current_d_a) + square(x->current_q_a));
-    return heat + electric_torque(p, p->saturation.active, electric_state(x, p)) * x->speed_rad_s;
+        *stored_j = p->torque_factor * saturated_energy(&p->saturation, state);
+    else
+        *stored_j = 0.5 * p->torque_factor * (p->inductance_d_h * d2 + p->inductance_q_h * q2);
+    *consumed_w = heat + electric_torque(p, p->saturation.active, state) * x->speed_rad_s;
 }
 
 /* One inner period of the motor, and of the DC link that it is fed from. */
@@ -86,10 +82,16 @@ static void drive_motor(InnerLoops *self, double load_nm)
         turn_motor(self, load_nm);
         return;
     }
-    double stored = magnetic_energy(self), before = consumed(self);
+    /* What it was at the end of the last period is what it is at the start of this one. */
+    LinkState *link = &self->link;
+    if (link->asked == 0.0)
+        ask_motor(self, &link->stored_j, &link->consumed_w);
+    double stored = link->stored_j, before = link->consumed_w;
     turn_motor(self, load_nm);
-    double watts = (magnetic_energy(self) - stored) * self->motor.rate_hz + 0.5 * (before + consumed(self));
-    advance_link(&self->link, &self->dc_link, watts);
+    ask_motor(self, &link->stored_j, &link->consumed_w);
+    link->asked = 1.0;
+    double watts = (link->stored_j - stored) * self->motor.rate_hz + 0.5 * (before + link->consumed_w);
+    advance_link(link, &self->dc_link, watts);
 }
 
 /* Of the encoder at the load, or of one with errors: its count and, of it, the speed before the filter, rad/s. */
@@ -148,11 +150,14 @@ static double sample(InnerLoops *self)
     double angle = (within_turn + 0.5) * resolution->rad_per_count * self->motor.pole_pairs;
     Pair current = {shaft->current_d_a, shaft->current_q_a};
     double electrical = self->motor.pole_pairs * shaft->angle_rad;
-    SineCosine turn = sine_cosine(electrical - angle);
+    SineCosine turn;
     if (self->sensors.active) {
-        SineCosine rotor = sine_cosine(electrical);
-        current = sensed_current(&self->sensors, current, rotor, self->phase_amplitude, self->ticks);
+        self->rotor_rad = electrical;
+        self->rotor = sine_cosine(electrical);
+        current = sensed_current(&self->sensors, current, self->rotor, self->phase_amplitude, self->ticks);
         turn = sine_cosine(-angle);
+    } else {
+        turn = sine_cosine(electrical - angle);
     }
     state->current_d_measured_a = turn.cosine * current[0] - turn.sine * current[1];
     state->current_q_measured_a = turn.sine * current[0] + turn.cosine * current[1];
@@ -259,6 +264,18 @@ static Pair wanted_currents(InnerLoops *self, double torque_nm)
                           voltage_circle(self), electrical);
 }
 
+/* A weakened field lets a shaft run several times as fast as its motor is rated for: only there its period takes the
+   steps that this needs. */
+static void step_by_speed(InnerLoops *self)
+{
+    bool calm = fabs(self->state.speed_measured_rad_s) < self->field.calm_rad_s;
+    double steps = calm ? self->field.calm_steps : self->field.fast_steps;
+    if (steps == self->motor.substeps)
+        return;
+    self->motor.substeps = steps;
+    self->motor.step_s = self->motor.period_s / steps;
+}
+
 /* PI or state space in d and q with decoupling and back-EMF feed-forward; the voltage circle serves d
    first, and what it cuts off is taken back out of the integrals (no wind-up). */
 static void current_loops(InnerLoops *self, Pair wanted)
@@ -273,8 +290,10 @@ static void current_loops(InnerLoops *self, Pair wanted)
     v_d -= electrical * p->decouple_q_h * i_q;
     v_q += electrical * (p->decouple_d_h * i_d + self->believed.flux_linkage_wb);
     double circle = voltage_circle(self);
-    if (self->field.voltage_share > 0.0)
+    if (self->field.voltage_share > 0.0) {
+        step_by_speed(self);
         state->weaker_a = weaken(&self->field, state->weaker_a, sqrt(v_d * v_d + v_q * v_q), circle, electrical);
+    }
     double out_d = within(v_d, -circle, circle);
     double rest_q = sqrt(circle * circle - out_d * out_d);
     double out_q = within(v_q, -rest_q, rest_q);

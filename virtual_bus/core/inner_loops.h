@@ -101,6 +101,8 @@ typedef struct InnerLoops {
     DcLink dc_link;
     LinkState link;
     double phase_amplitude; /* A of a phase over A of the motor's transform */
+    double rotor_rad;       /* electrical angle at which the currents were sensed, and its sine and cosine */
+    SineCosine rotor;
     CurrentSensors sensors;
     Inverter inverter;
     Protection protection;

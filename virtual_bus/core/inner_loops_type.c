@@ -26,6 +26,7 @@ static PyObject *make(PyTypeObject *type, PyObject *arguments, PyObject *names)
     loops->loop.controller_d.order = loops->loop.controller_q.order = -1;
     loops->asked = 1;
     loops->inverter.output_share = loops->phase_amplitude = 1.0;
+    loops->rotor.cosine = 1.0; /* of the angle 0 */
     loops->rate_hz = loops->motion_ticks = 1; /* divided by */
     loops->scale = (UserScale){0.0, 1.0, 1.0, 1.0};
     return self;
@@ -240,6 +241,14 @@ static PyObject *call_set_cogging(PyObject *self, PyObject *octets)
     Mechanism *mechanism = &loops_of(self)->mechanism;
     mechanism->cogging_nm = torques_nm;
     mechanism->cogging_points = (int)count - 1;
+    mechanism->cogging_per_rad = mechanism->cogging_points / TURN_RAD;
+    return nothing();
+}
+
+static PyObject *call_tabulate_errors(PyObject *self, PyObject *none)
+{
+    (void)none;
+    tabulate_errors(&loops_of(self)->encoder);
     return nothing();
 }
 
@@ -260,6 +269,7 @@ static PyObject *call_set_load_table(PyObject *self, PyObject *const *arguments,
     Py_IncRef(arguments[2]);
     keep(&((InnerLoopsObject *)self)->load_table, arguments[2]);
     PlacedLoad *placed = &loops_of(self)->mechanism.placed;
+    loops_of(self)->load_side.place = (TablePlace){0, 0};
     placed->places = (int)places;
     placed->speeds = (int)speeds;
     placed->table = table;
@@ -391,6 +401,7 @@ static PyMethodDef methods[] = {
     {"bear", (PyCFunction)(void (*)(void))call_bear, METH_FASTCALL, NULL},
     {"set_controller", (PyCFunction)(void (*)(void))call_set_controller, METH_FASTCALL, NULL},
     {"set_cogging", call_set_cogging, METH_O, NULL},
+    {"tabulate_errors", call_tabulate_errors, METH_NOARGS, NULL},
     {"set_switch", (PyCFunction)(void (*)(void))call_set_switch, METH_FASTCALL, NULL},
     {"switch_seen", call_switch_seen, METH_O, NULL},
     {"set_load_table", (PyCFunction)(void (*)(void))call_set_load_table, METH_FASTCALL, NULL},
@@ -443,6 +454,9 @@ static PyMemberDef members[] = {
     NUMBER("field_floor_a", field.floor_a),
     NUMBER("field_weakest_a", field.weakest_a),
     NUMBER("field_torque_per_wb", field.torque_per_wb),
+    NUMBER("field_calm_rad_s", field.calm_rad_s),
+    NUMBER("field_calm_steps", field.calm_steps),
+    NUMBER("field_fast_steps", field.fast_steps),
     {"mechanism", T_INT, PLACE(mechanism.active), 0, NULL},
     {"coupled", T_INT, PLACE(mechanism.coupled), 0, NULL},
     {"encoder_on_load", T_INT, PLACE(mechanism.encoder_on_load), 0, NULL},

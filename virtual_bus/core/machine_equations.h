@@ -17,6 +17,13 @@ static inline Pair flux_slopes(const MotorParameters *p, Pair voltage, Pair flux
     return live * (voltage - p->resistance_ohm * current + rotating * swapped(flux));
 }
 
+/* N m, of constant inductances. */
+static inline double motor_torque(const MotorParameters *p, double i_d, double i_q)
+{
+    double saliency = p->inductance_d_h - p->inductance_q_h;
+    return p->torque_factor * p->pole_pairs * (p->flux_linkage_wb + saliency * i_d) * i_q;
+}
+
 /* What the windings make, N m, of currents or fluxes. */
 static inline double electric_torque(const MotorParameters *p, bool saturates, Pair x)
 {

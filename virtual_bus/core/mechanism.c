@@ -34,16 +34,21 @@ enum { ROTOR, LOAD, MASSES };
 
 typedef struct Motion {
     Pair current, voltage; /* of d and q: A, and V that turn in the rotor's frame */
-    double speed[MASSES];
-    double angle; /* of the rotor, from the start of the period */
-    double twist;
+    Pair speed;            /* of rotor and load */
+    Pair place;            /* angle of the rotor, from the start of the period; twist */
 } Motion;
+
+enum { ANGLE, TWIST };
 
 /* Which equations hold until the next change. */
 typedef struct Phase {
     double way[MASSES]; /* 1 or -1: the friction is against that; 0: at rest */
     double flank;       /* 1 or -1: the one in contact; 0: none */
     double stop;        /* the same of the end stops */
+    /* What follows of these. */
+    Pair rub_nm, falling_nm; /* friction against the way: Coulomb's, and what breakaway is above it */
+    Pair per_inertia;        /* 0: at rest */
+    double stiffness_nm_rad, damping_nm_s, flank_rad;
 } Phase;
 
 typedef struct Friction {
@@ -58,11 +63,13 @@ typedef struct Machine {
     Friction friction[MASSES];
     bool rubs[MASSES];
     bool changes; /* something can come to rest, or let go */
-    bool placed;  /* the place of the load counts */
-    double viscous[MASSES];
-    double live, turning, load_nm, angle_rad;
+    bool falls;   /* friction with the speed */
+    bool placed;  /* the place of the load asks for a torque, or its end stops do */
+    bool sited;   /* where rotor and load are, a torque depends on */
+    Pair viscous, per_inertia, load_nm;
+    double live, turning, angle_rad;
     LoadSide *load;
-    LoadPlace from;                    /* of the load at the start of the period */
+    double turns;                      /* of the load at the start of the period */
     double twist_rad;                  /* of the coupling, there */
     double negative_rad, positive_rad; /* from there to the end stops */
 } Machine;
@@ -77,26 +84,25 @@ static double friction_nm(const Machine *s, int mass, double way, double speed)
     return coulomb_nm + f->breakaway_more_nm / (1.0 + slip * slip);
 }
 
+/* The angle of the rotor is within a turn at the start of a period, and seldom far beyond it at the end. */
 static double cogging_nm(const Machine *s, double angle)
 {
-    double turns = (s->angle_rad + angle) * PER_TURN;
-    double place = (turns - floor(turns)) * s->m->cogging_points;
-    if (!(place < s->m->cogging_points)) /* rounded up, or no number */
-        place = 0.0;
+    double points = s->m->cogging_points, place = (s->angle_rad + angle) * s->m->cogging_per_rad;
+    if (!(place >= 0.0 && place < points)) {
+        double turns = place / points;
+        place = (turns - floor(turns)) * points;
+        if (!(place < points)) /* rounded up, or no number */
+            place = 0.0;
+    }
     int point = (int)place;
     double low = s->m->cogging_nm[point], high = s->m->cogging_nm[point + 1];
     return low + (place - point) * (high - low);
 }
 
-static double flank_torque(const Mechanism *m, double flank, double twist, double twisting)
-{
-    return m->stiffness_nm_rad * (twist - flank * m->half_backlash_rad) + m->damping_nm_s * twisting;
-}
-
 /* Of the load, from the start of the period. */
 static double load_angle(const Machine *s, const Motion *x)
 {
-    return s->m->coupled ? x->angle - (x->twist - s->twist_rad) : x->angle;
+    return s->m->coupled ? x->place[ANGLE] - (x->place[TWIST] - s->twist_rad) : x->place[ANGLE];
 }
 
 static double load_speed(const Machine *s, const Motion *x) { return x->speed[s->m->coupled ? LOAD : ROTOR]; }
@@ -107,62 +113,95 @@ static double beyond_stop(const Machine *s, const Motion *x, double stop)
     return stop * (load_angle(s, x) - (stop > 0.0 ? s->positive_rad : s->negative_rad));
 }
 
-/* What the load's place, speed and end stop put against it, N m. */
-static __attribute__((noinline)) double placed_nm(const Machine *s, const Phase *phase, const Motion *x)
+/* Onto rotor and load, N m. */
+static Pair onto(const Machine *s, double rotor_nm, double load_nm)
 {
-    double torque_nm = 0.0, speed = load_speed(s, x);
-    if (s->m->placed.active)
-        torque_nm = placed_load_nm(&s->m->placed, &s->from, load_angle(s, x), speed);
-    if (phase->stop != 0.0)
-        torque_nm += phase->stop * s->m->stops.stiffness_nm_rad * beyond_stop(s, x, phase->stop)
-                     + s->m->stops.damping_nm_s * speed;
-    return torque_nm;
+    return s->m->coupled ? (Pair){rotor_nm, load_nm} : (Pair){rotor_nm + load_nm, 0.0};
 }
 
-/* Torques on each mass but friction, N m. */
-ALWAYS_INLINE void pull(const Machine *s, const Phase *phase, const Motion *x, double *net)
+/* What goes by the places of rotor and load, and by the speed of a load in a table. */
+typedef struct Sited {
+    double cogs_nm; /* of the rotor */
+    Asked asked;    /* of the load */
+} Sited;
+
+/* At an angle of the rotor and one of the load, both from the start of the period. */
+static Sited sited_at(const Machine *s, double angle, double load_rad, double load_rad_s)
 {
-    double made = electric_torque(s->p, s->p->saturation.active, x->current), load_nm = s->load_nm;
+    Sited sited = {0};
     if (s->m->cogging_points > 0)
-        made += cogging_nm(s, x->angle);
-    if (s->placed)
-        load_nm += placed_nm(s, phase, x);
-    if (!s->m->coupled) {
-        net[ROTOR] = made - load_nm - s->viscous[ROTOR] * x->speed[ROTOR];
-        net[LOAD] = 0.0;
-        return;
+        sited.cogs_nm = cogging_nm(s, angle);
+    if (s->m->placed.active)
+        sited.asked = placed_load(&s->m->placed, &s->load->place, s->turns + load_rad * PER_TURN, load_rad_s);
+    return sited;
+}
+
+static Pair sited_nm(const Machine *s, const Sited *sited)
+{
+    return onto(s, sited->cogs_nm, -(sited->asked.rest_nm + s->m->placed.arm_nm * sited->asked.arm_sine));
+}
+
+/* Of the end stop that the load is at. */
+static __attribute__((noinline)) Pair stop_nm(const Machine *s, const Phase *phase, const Motion *x)
+{
+    double torque_nm = phase->stop * s->m->stops.stiffness_nm_rad * beyond_stop(s, x, phase->stop)
+                       + s->m->stops.damping_nm_s * load_speed(s, x);
+    return onto(s, 0.0, -torque_nm);
+}
+
+/* Torques on rotor and load but friction, N m. `sited`: those of their places. */
+ALWAYS_INLINE Pair pull(const Machine *s, const Phase *phase, const Motion *x, Pair sited, bool saturates)
+{
+    double made = electric_torque(s->p, saturates, x->current), twisting = x->speed[ROTOR] - x->speed[LOAD];
+    double passed = phase->stiffness_nm_rad * (x->place[TWIST] - phase->flank_rad) + phase->damping_nm_s * twisting;
+    Pair net = sited + (Pair){made - passed, passed} - s->load_nm - s->viscous * x->speed;
+    return phase->stop == 0.0 ? net : net + stop_nm(s, phase, x);
+}
+
+ALWAYS_INLINE Pair acceleration(const Machine *s, const Phase *phase, const Motion *x, Pair sited, bool saturates)
+{
+    Pair net = pull(s, phase, x, sited, saturates) - phase->rub_nm;
+    if (s->falls) {
+        Pair slip = x->speed * s->m->per_stribeck;
+        net -= phase->falling_nm / (1.0 + slip * slip);
     }
-    double twisting = x->speed[ROTOR] - x->speed[LOAD];
-    bool free = phase->flank == 0.0 && s->m->half_backlash_rad > 0.0;
-    double passed = free ? 0.0 : flank_torque(s->m, phase->flank, x->twist, twisting);
-    net[ROTOR] = made - passed - s->viscous[ROTOR] * x->speed[ROTOR];
-    net[LOAD] = passed - load_nm - s->viscous[LOAD] * x->speed[LOAD];
+    return net * phase->per_inertia;
 }
 
-ALWAYS_INLINE double acceleration(const Machine *s, const Phase *phase, int mass, double speed, double net_nm,
-                                  double per_inertia)
+ALWAYS_INLINE Motion slopes(const Machine *s, const Phase *phase, const Motion *x, Pair sited, bool saturates)
 {
-    if (!s->rubs[mass])
-        return net_nm * per_inertia;
-    double way = phase->way[mass];
-    return way == 0.0 ? 0.0 : (net_nm - way * friction_nm(s, mass, way, speed)) * per_inertia;
-}
-
-ALWAYS_INLINE Motion slopes(const Machine *s, const Phase *phase, const Motion *x)
-{
-    double net[MASSES];
-    pull(s, phase, x, net);
     double electrical = s->p->pole_pairs * x->speed[ROTOR];
-    Motion k = {
-        .current = current_slopes(s->p, s->p->saturation.active, x->voltage, x->current, electrical, s->live),
+    return (Motion){
+        .current = current_slopes(s->p, saturates, x->voltage, x->current, electrical, s->live),
         .voltage = voltage_slopes(x->voltage, s->turning * electrical),
-        .angle = x->speed[ROTOR],
-        .twist = x->speed[ROTOR] - x->speed[LOAD],
+        .speed = acceleration(s, phase, x, sited, saturates),
+        .place = {x->speed[ROTOR], x->speed[ROTOR] - x->speed[LOAD]},
     };
-    k.speed[ROTOR] = acceleration(s, phase, ROTOR, x->speed[ROTOR], net[ROTOR], s->m->per_inertia_rotor);
-    if (s->m->coupled)
-        k.speed[LOAD] = acceleration(s, phase, LOAD, x->speed[LOAD], net[LOAD], s->m->per_inertia_load);
-    return k;
+}
+
+/* Torques of the places at the start of a step, in its middle and at its end, N m. */
+typedef struct Sites {
+    Pair start, middle, end;
+} Sites;
+
+/* Of a step from x, h seconds, where a parabola has rotor and load: what that leaves out of their way is of third order.
+   `sited`: those at the start, then at the end. */
+static __attribute__((noinline)) void look_ahead(const Machine *s, const Phase *phase, const Motion *x, double h,
+                                                 Sited *sited, Sites *sites)
+{
+    Sited from = *sited, middle = {0};
+    sites->start = sited_nm(s, &from);
+    Pair faster = acceleration(s, phase, x, sites->start, s->p->saturation.active);
+    Pair way = h * (x->speed + 0.5 * h * faster), half = 0.5 * h * (x->speed + 0.25 * h * faster);
+    int last = s->m->coupled ? LOAD : ROTOR;
+    double load_rad = load_angle(s, x);
+    *sited = sited_at(s, x->place[ANGLE] + way[ROTOR], load_rad + way[last], x->speed[last] + h * faster[last]);
+    if (s->m->cogging_points > 0)
+        middle.cogs_nm = cogging_nm(s, x->place[ANGLE] + half[ROTOR]);
+    if (s->m->placed.active)
+        middle.asked = asked_between(&s->m->placed, from.asked, sited->asked, way[last], half[last]);
+    sites->middle = sited_nm(s, &middle);
+    sites->end = sited_nm(s, sited);
 }
 
 /* x + h k */
@@ -171,26 +210,39 @@ ALWAYS_INLINE Motion ahead(const Motion *x, const Motion *k, double h)
     return (Motion){
         .current = x->current + h * k->current,
         .voltage = x->voltage + h * k->voltage,
-        .speed = {x->speed[ROTOR] + h * k->speed[ROTOR], x->speed[LOAD] + h * k->speed[LOAD]},
-        .angle = x->angle + h * k->angle,
-        .twist = x->twist + h * k->twist,
+        .speed = x->speed + h * k->speed,
+        .place = x->place + h * k->place,
     };
 }
 
 /* One classical step of fourth order, h seconds. */
-static Motion runge_kutta(const Machine *s, const Phase *phase, const Motion *x, double h)
+ALWAYS_INLINE void step_of(const Machine *s, const Phase *phase, const Motion *x, double h, const Sites *sites,
+                           bool saturates, Motion *new)
 {
-    Motion k1 = slopes(s, phase, x);
+    Motion k1 = slopes(s, phase, x, sites->start, saturates);
     Motion x2 = ahead(x, &k1, 0.5 * h);
-    Motion k2 = slopes(s, phase, &x2);
+    Motion k2 = slopes(s, phase, &x2, sites->middle, saturates);
     Motion x3 = ahead(x, &k2, 0.5 * h);
-    Motion k3 = slopes(s, phase, &x3);
+    Motion k3 = slopes(s, phase, &x3, sites->middle, saturates);
     Motion x4 = ahead(x, &k3, h);
-    Motion k4 = slopes(s, phase, &x4);
-    Motion sum = ahead(&k2, &k3, 1.0);
-    Motion ends = ahead(&k1, &k4, 1.0);
-    sum = ahead(&ends, &sum, 2.0);
-    return ahead(x, &sum, h * SIXTH);
+    Motion k4 = slopes(s, phase, &x4, sites->end, saturates);
+    double w = h * SIXTH;
+    new->current = x->current + w * (k1.current + 2.0 * (k2.current + k3.current) + k4.current);
+    new->voltage = x->voltage + w * (k1.voltage + 2.0 * (k2.voltage + k3.voltage) + k4.voltage);
+    new->speed = x->speed + w * (k1.speed + 2.0 * (k2.speed + k3.speed) + k4.speed);
+    new->place = x->place + w * (k1.place + 2.0 * (k2.place + k3.place) + k4.place);
+}
+
+static __attribute__((noinline)) void runge_kutta(const Machine *s, const Phase *phase, const Motion *x, double h,
+                                                  Sited *sited, Motion *new)
+{
+    Sites sites = {{0.0, 0.0}, {0.0, 0.0}, {0.0, 0.0}};
+    if (s->sited)
+        look_ahead(s, phase, x, h, sited, &sites);
+    if (s->p->saturation.active)
+        step_of(s, phase, x, h, &sites, true, new);
+    else
+        step_of(s, phase, x, h, &sites, false, new);
 }
 
 /* How far a flank or a stop is pressed in, rad, where it takes hold: what it is beyond, once that grows or where
@@ -200,7 +252,7 @@ static double hold_rad(double beyond, double rate, double yield_s) { return beyo
 static double flank_hold_rad(const Mechanism *m, double flank, const Motion *x)
 {
     double rate = flank * (x->speed[ROTOR] - x->speed[LOAD]);
-    return hold_rad(flank * x->twist - m->half_backlash_rad, rate, m->yield_s);
+    return hold_rad(flank * x->place[TWIST] - m->half_backlash_rad, rate, m->yield_s);
 }
 
 static double stop_hold_rad(const Machine *s, double stop, const Motion *x)
@@ -208,50 +260,82 @@ static double stop_hold_rad(const Machine *s, double stop, const Motion *x)
     return hold_rad(beyond_stop(s, x, stop), stop * load_speed(s, x), s->m->stops.yield_s);
 }
 
-/* By how much the friction at rest exceeds what pulls at a mass. */
-static double hold_nm(const Machine *s, const Phase *phase, const Motion *x, int mass)
+/* What pulls at a mass at rest. `sited`: at x. */
+static double pull_nm(const Machine *s, const Phase *phase, const Motion *x, const Sited *sited, int mass)
 {
-    double net[MASSES];
-    pull(s, phase, x, net);
-    return friction_nm(s, mass, net[mass] > 0.0 ? 1.0 : -1.0, 0.0) - fabs(net[mass]);
+    return pull(s, phase, x, sited_nm(s, sited), s->p->saturation.active)[mass];
 }
 
-/* 0: it stays at rest. */
-static double way_from_rest(const Machine *s, const Phase *phase, const Motion *x, int mass)
+/* By how much the friction at rest exceeds what pulls at a mass. */
+static double hold_nm(const Machine *s, int mass, double pull_nm)
 {
-    double net[MASSES];
-    if (hold_nm(s, phase, x, mass) >= 0.0)
-        return 0.0;
-    pull(s, phase, x, net);
-    return net[mass] > 0.0 ? 1.0 : -1.0;
+    return friction_nm(s, mass, pull_nm > 0.0 ? 1.0 : -1.0, 0.0) - fabs(pull_nm);
+}
+
+static void touch(const Machine *s, Phase *phase, const Motion *x)
+{
+    if (s->m->half_backlash_rad > 0.0) {
+        double flank = x->place[TWIST] > 0.0 ? 1.0 : -1.0;
+        if (flank_hold_rad(s->m, flank, x) < 0.0)
+            return;
+        phase->flank = flank;
+        phase->flank_rad = flank * s->m->half_backlash_rad;
+    }
+    phase->stiffness_nm_rad = s->m->stiffness_nm_rad;
+    phase->damping_nm_s = s->m->damping_nm_s;
+}
+
+/* What friction does to a mass. */
+typedef struct Rubbing {
+    double way, rub_nm, falling_nm, per_inertia;
+} Rubbing;
+
+static Rubbing rubbing(const Machine *s, const Phase *phase, const Motion *x, const Sited *sited, int mass,
+                       double speed, double per_inertia)
+{
+    double way = speed > 0.0 ? 1.0 : -1.0;
+    if (!s->rubs[mass])
+        return (Rubbing){way, 0.0, 0.0, per_inertia};
+    if (speed == 0.0) {
+        double pulled_nm = pull_nm(s, phase, x, sited, mass);
+        if (hold_nm(s, mass, pulled_nm) >= 0.0)
+            return (Rubbing){0.0, 0.0, 0.0, 0.0};
+        way = pulled_nm > 0.0 ? 1.0 : -1.0;
+    }
+    const Friction *f = &s->friction[mass];
+    return (Rubbing){way, way > 0.0 ? f->forward_nm : -f->backward_nm, way * f->breakaway_more_nm, per_inertia};
 }
 
 /* The equations that hold at x. */
-static Phase phase_at(const Machine *s, const Motion *x)
+static void set_phase(Phase *phase, const Machine *s, const Motion *x, const Sited *sited)
 {
-    Phase phase = {{0.0, 0.0}, 0.0, 0.0};
-    if (s->m->coupled && s->m->half_backlash_rad > 0.0) {
-        double flank = x->twist > 0.0 ? 1.0 : -1.0;
-        phase.flank = flank_hold_rad(s->m, flank, x) >= 0.0 ? flank : 0.0;
-    }
+    phase->flank = phase->stop = phase->flank_rad = phase->stiffness_nm_rad = phase->damping_nm_s = 0.0;
+    if (s->m->coupled)
+        touch(s, phase, x);
     if (s->m->stops.active)
-        phase.stop = stop_hold_rad(s, 1.0, x) >= 0.0 ? 1.0 : stop_hold_rad(s, -1.0, x) >= 0.0 ? -1.0 : 0.0;
-    for (int mass = ROTOR; mass <= s->m->coupled; mass++) {
-        phase.way[mass] = x->speed[mass] > 0.0 ? 1.0 : -1.0;
-        if (x->speed[mass] == 0.0 && s->rubs[mass])
-            phase.way[mass] = way_from_rest(s, &phase, x, mass);
+        phase->stop = stop_hold_rad(s, 1.0, x) >= 0.0 ? 1.0 : stop_hold_rad(s, -1.0, x) >= 0.0 ? -1.0 : 0.0;
+    phase->rub_nm = phase->falling_nm = (Pair){0.0, 0.0};
+    phase->per_inertia = s->per_inertia;
+    phase->way[ROTOR] = phase->way[LOAD] = 0.0;
+    if (s->rubs[ROTOR] || s->rubs[LOAD]) {
+        Rubbing rotor = rubbing(s, phase, x, sited, ROTOR, x->speed[ROTOR], s->per_inertia[ROTOR]);
+        Rubbing load = rubbing(s, phase, x, sited, LOAD, x->speed[LOAD], s->per_inertia[LOAD]);
+        phase->way[ROTOR] = rotor.way;
+        phase->way[LOAD] = load.way;
+        phase->rub_nm = (Pair){rotor.rub_nm, load.rub_nm};
+        phase->falling_nm = (Pair){rotor.falling_nm, load.falling_nm};
+        phase->per_inertia = (Pair){rotor.per_inertia, load.per_inertia};
     }
-    return phase;
 }
 
 /* Negative once the phase is over at x; which one of its parts ended is in the state. */
-static double margin(const Machine *s, const Phase *phase, const Motion *x)
+static double margin(const Machine *s, const Phase *phase, const Motion *x, const Sited *sited)
 {
     double least_yet = INFINITY;
     if (s->m->coupled && s->m->half_backlash_rad > 0.0) {
         double flank = phase->flank, twisting = x->speed[ROTOR] - x->speed[LOAD];
         if (flank != 0.0)
-            least_yet = flank * x->twist - s->m->half_backlash_rad + s->m->yield_s * flank * twisting;
+            least_yet = flank * x->place[TWIST] - s->m->half_backlash_rad + s->m->yield_s * flank * twisting;
         else
             least_yet = -most(flank_hold_rad(s->m, 1.0, x), flank_hold_rad(s->m, -1.0, x));
     }
@@ -266,7 +350,8 @@ static double margin(const Machine *s, const Phase *phase, const Motion *x)
     for (int mass = ROTOR; mass <= s->m->coupled; mass++) {
         if (s->rubs[mass]) {
             double way = phase->way[mass];
-            least_yet = least(least_yet, way != 0.0 ? way * x->speed[mass] : hold_nm(s, phase, x, mass));
+            double left = way != 0.0 ? way * x->speed[mass] : hold_nm(s, mass, pull_nm(s, phase, x, sited, mass));
+            least_yet = least(least_yet, left);
         }
     }
     return least_yet;
@@ -274,18 +359,21 @@ static double margin(const Machine *s, const Phase *phase, const Motion *x)
 
 /* The length of a step from x that ends just beyond the phase's end, which comes within h; `over`: the margin
    there. By secants, each weighed towards the bound that stood still, and halves where the start has no margin. */
-static double length_of_phase(const Machine *s, const Phase *phase, const Motion *x, double h, double over)
+static double length_of_phase(const Machine *s, const Phase *phase, const Motion *x, const Sited *sited, double h,
+                              double over)
 {
     double low = 0.0, high = h;
-    double at_low = margin(s, phase, x), at_high = over;
+    double at_low = margin(s, phase, x, sited), at_high = over;
     for (int tries = 0; tries < TRIES_MAX && high - low > FOUND * h; tries++) {
         double length = 0.5 * (low + high);
         if (at_low > 0.0) {
             double share = at_low / (at_low - at_high);
             length = low + within(share, 0.25 * FOUND, 1.0 - 0.25 * FOUND) * (high - low);
         }
-        Motion there = runge_kutta(s, phase, x, length);
-        double found = margin(s, phase, &there);
+        Sited there_sited = *sited;
+        Motion there;
+        runge_kutta(s, phase, x, length, &there_sited, &there);
+        double found = margin(s, phase, &there, &there_sited);
         if (found < 0.0) {
             high = length;
             at_high = found;
@@ -309,23 +397,28 @@ static void note_stop(LoadSide *load, double stop, double speed)
     load->stop = stop;
 }
 
-static void substep(const Machine *s, Motion *x, double h)
+static void substep(const Machine *s, Motion *x, Sited *sited, double h)
 {
     if (!s->changes) {
-        Phase only = {{0.0, 0.0}, 0.0, 0.0};
-        *x = runge_kutta(s, &only, x, h);
+        Phase only;
+        set_phase(&only, s, x, sited);
+        runge_kutta(s, &only, x, h, sited, x);
         return;
     }
     for (int cut = 0; h > 0.0; cut++) {
-        Phase phase = phase_at(s, x);
+        Phase phase;
+        set_phase(&phase, s, x, sited);
         if (s->m->stops.active)
             note_stop(s->load, phase.stop, load_speed(s, x));
-        Motion new = runge_kutta(s, &phase, x, h);
-        double over = margin(s, &phase, &new);
+        Sited before = *sited;
+        Motion new;
+        runge_kutta(s, &phase, x, h, sited, &new);
+        double over = margin(s, &phase, &new, sited);
         double length = h;
         if (over < 0.0 && cut < CUTS_MAX) {
-            length = length_of_phase(s, &phase, x, h, over);
-            new = runge_kutta(s, &phase, x, length);
+            length = length_of_phase(s, &phase, x, &before, h, over);
+            *sited = before;
+            runge_kutta(s, &phase, x, length, sited, &new);
         }
         *x = new;
         for (int mass = ROTOR; mass <= s->m->coupled; mass++) {
@@ -336,32 +429,68 @@ static void substep(const Machine *s, Motion *x, double h)
     }
 }
 
-static Machine machine_of(const MotorParameters *p, const Mechanism *m, double brake_nm)
+/* What rubs on rotor and load. `brake_nm`: on the rotor. */
+static void rub(Machine *s, double brake_nm, int side)
 {
-    int side = m->coupled && m->friction_on_load ? LOAD : ROTOR;
-    Machine s = {.p = p, .m = m};
-    s.friction[ROTOR].forward_nm = s.friction[ROTOR].backward_nm = brake_nm;
-    s.friction[side].forward_nm += p->coulomb_friction_nm;
-    s.friction[side].backward_nm += p->coulomb_friction_nm + m->backward_more_nm;
-    s.friction[side].breakaway_more_nm = m->breakaway_more_nm;
-    s.viscous[side] = p->viscous_friction_nm_s;
+    const MotorParameters *p = s->p;
+    const Mechanism *m = s->m;
+    s->friction[ROTOR] = (Friction){brake_nm, brake_nm, 0.0};
+    s->friction[LOAD] = (Friction){0.0, 0.0, 0.0};
+    Friction *f = &s->friction[side];
+    f->forward_nm += p->coulomb_friction_nm;
+    f->backward_nm += p->coulomb_friction_nm + m->backward_more_nm;
+    f->breakaway_more_nm = m->breakaway_more_nm;
     for (int mass = ROTOR; mass < MASSES; mass++) {
-        const Friction *f = &s.friction[mass];
-        s.rubs[mass] = f->forward_nm != 0.0 || f->backward_nm != 0.0 || f->breakaway_more_nm != 0.0;
+        f = &s->friction[mass];
+        s->rubs[mass] = f->forward_nm != 0.0 || f->backward_nm != 0.0 || f->breakaway_more_nm != 0.0;
     }
-    s.placed = m->placed.active || m->stops.active;
-    s.changes = s.rubs[ROTOR] || s.rubs[LOAD] || (m->coupled && m->half_backlash_rad > 0.0) || m->stops.active;
-    return s;
 }
 
-static void place_load(Machine *s, const MotorState *state, LoadSide *load)
+static void make_machine(Machine *s, const MotorParameters *p, const Mechanism *m, double load_nm, double brake_nm)
 {
-    s->load = load;
-    s->twist_rad = s->m->coupled ? load->twist_rad : 0.0;
+    double viscous = p->viscous_friction_nm_s;
+    bool on_load = m->coupled && m->friction_on_load, placed = m->placed.active, stops = m->stops.active;
+    s->p = p;
+    s->m = m;
+    s->per_inertia = (Pair){m->per_inertia_rotor, m->coupled ? m->per_inertia_load : 0.0};
+    s->viscous = on_load ? (Pair){0.0, viscous} : (Pair){viscous, 0.0};
+    s->load_nm = onto(s, 0.0, load_nm);
+    s->rubs[ROTOR] = s->rubs[LOAD] = false;
+    if (brake_nm != 0.0 || p->coulomb_friction_nm != 0.0 || m->backward_more_nm != 0.0 || m->breakaway_more_nm != 0.0)
+        rub(s, brake_nm, on_load ? LOAD : ROTOR);
+    s->falls = m->breakaway_more_nm != 0.0;
+    s->placed = placed || stops;
+    s->sited = placed || m->cogging_points > 0;
+    s->changes = s->rubs[ROTOR] || s->rubs[LOAD] || (m->coupled && m->half_backlash_rad > 0.0) || stops;
+}
+
+static void place_load(Machine *s, const MotorState *state)
+{
+    s->twist_rad = s->m->coupled ? s->load->twist_rad : 0.0;
     double ahead_rad = state->angle_rad - s->twist_rad; /* of the turns */
-    s->from = place_of(&s->m->placed, state->turns + ahead_rad * PER_TURN);
+    s->turns = state->turns + ahead_rad * PER_TURN;
     s->negative_rad = (s->m->stops.negative_turns - state->turns) * TURN_RAD - ahead_rad;
     s->positive_rad = (s->m->stops.positive_turns - state->turns) * TURN_RAD - ahead_rad;
+}
+
+/* As it was at the end of the last period, if rotor and load are where they were then. */
+static Sited sited_at_start(const Machine *s, const MotorState *state, const Motion *x)
+{
+    const LoadSide *load = s->load;
+    if (load->sited != 0.0 && load->sited_rad == state->angle_rad && load->sited_turns == state->turns
+        && load->sited_rad_s == x->speed[ROTOR])
+        return (Sited){load->cogs_nm, load->asked};
+    return sited_at(s, 0.0, 0.0, load_speed(s, x));
+}
+
+static void keep_sited(LoadSide *load, const MotorState *state, const Sited *sited)
+{
+    load->sited = 1.0;
+    load->sited_rad = state->angle_rad;
+    load->sited_turns = state->turns;
+    load->sited_rad_s = state->speed_rad_s;
+    load->cogs_nm = sited->cogs_nm;
+    load->asked = sited->asked;
 }
 
 /* One period of the motor and what it turns. */
@@ -372,28 +501,35 @@ void advance_machine(MotorState *state, LoadSide *load, const MotorParameters *p
         advance_motor(state, p, voltage, load_nm, brake_nm);
         return;
     }
-    Machine s = machine_of(p, mechanism, brake_nm);
+    Machine s;
+    make_machine(&s, p, mechanism, load_nm, brake_nm);
     s.live = voltage.live;
     s.turning = voltage.turning;
-    s.load_nm = load_nm;
     s.angle_rad = state->angle_rad;
+    s.load = load;
     if (s.placed)
-        place_load(&s, state, load);
+        place_load(&s, state);
     Motion x = {
         .current = electric_state(state, p),
         .voltage = {voltage.d, voltage.q},
         .speed = {state->speed_rad_s, load->speed_rad_s},
-        .twist = load->twist_rad,
+        .place = {0.0, load->twist_rad},
     };
+    Sited sited = {0};
+    if (s.sited)
+        sited = sited_at_start(&s, state, &x);
     for (int step = 0; step < (int)p->substeps; step++)
-        substep(&s, &x, p->step_s);
-    double angle = state->angle_rad + x.angle;
-    double turns = floor(angle * PER_TURN);
+        substep(&s, &x, &sited, p->step_s);
+    double angle = state->angle_rad + x.place[ANGLE];
+    double turned = angle * PER_TURN;
+    double turns = turned >= 0.0 ? floor_of_positive(turned) : floor(turned);
     take_electric_state(state, p, x.current);
     state->speed_rad_s = x.speed[ROTOR];
     load->speed_rad_s = mechanism->coupled ? x.speed[LOAD] : x.speed[ROTOR];
-    load->twist_rad = mechanism->coupled ? x.twist : 0.0;
+    load->twist_rad = mechanism->coupled ? x.place[TWIST] : 0.0;
     /* Rounding may leave the angle a hair outside of its turn. */
     state->angle_rad = least(most(angle - turns * TURN_RAD, 0.0), BELOW_TURN_RAD);
     state->turns += turns;
+    if (s.sited)
+        keep_sited(load, state, &sited);
 }

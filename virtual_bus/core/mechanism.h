@@ -20,6 +20,7 @@ typedef struct Mechanism {
     double per_stribeck;      /* s/rad */
     const double *cogging_nm; /* over a turn of the rotor, the first point once more behind the last */
     int cogging_points;       /* 0: no cogging */
+    double cogging_per_rad;   /* points */
     PlacedLoad placed;        /* as are the stops: at the load's side */
     EndStops stops;
 } Mechanism;
@@ -31,6 +32,12 @@ typedef struct LoadSide {
     double stop;      /* 1 or -1: the load is at an end stop */
     double hits;      /* of end stops, and the speed at the last one */
     double hit_rad_s;
+    /* What goes by the places of rotor and load, at the end of the last period, and where and at which speed the rotor
+       was there. */
+    double sited; /* 1: that is known */
+    double sited_rad, sited_turns, sited_rad_s, cogs_nm;
+    Asked asked;
+    TablePlace place;
 } LoadSide;
 
 void advance_machine(MotorState *state, LoadSide *load, const MotorParameters *p, const Mechanism *mechanism,

@@ -29,12 +29,6 @@ typedef struct Forcing {
     double moving;        /* 0 holds the shaft */
 } Forcing;
 
-double motor_torque(const MotorParameters *p, double i_d, double i_q)
-{
-    double saliency = p->inductance_d_h - p->inductance_q_h;
-    return p->torque_factor * p->pole_pairs * (p->flux_linkage_wb + saliency * i_d) * i_q;
-}
-
 Pair electric_state(const MotorState *state, const MotorParameters *p)
 {
     Pair current = {state->current_d_a, state->current_q_a};

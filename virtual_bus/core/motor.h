@@ -33,8 +33,6 @@ typedef struct Voltage {
 /* What is integrated of d and q: currents, A; of iron that saturates fluxes, Wb. */
 Pair electric_state(const MotorState *state, const MotorParameters *p);
 void take_electric_state(MotorState *state, const MotorParameters *p, Pair x);
-/* N m, of constant inductances */
-double motor_torque(const MotorParameters *p, double current_d_a, double current_q_a);
 void advance_motor(MotorState *state, const MotorParameters *p, Voltage voltage, double load_nm, double brake_nm);
 
 #endif

@@ -83,6 +83,10 @@ class InnerLoops:
     field_floor_a: float
     field_weakest_a: float
     field_torque_per_wb: float
+    field_calm_rad_s: float
+    """Of the shaft; faster, a period takes ``field_fast_steps`` of integration, not ``field_calm_steps``."""
+    field_calm_steps: float
+    field_fast_steps: float
     weaker_a: float
     """The d current of the weakening, 0 or less."""
 
@@ -406,6 +410,9 @@ class InnerLoops:
 
     def set_least_currents(self, currents_a: bytes, /) -> None:
         """The d currents of the least amplitude over torque, from 0 on: doubles. Error: ValueError."""
+
+    def tabulate_errors(self) -> None:
+        """Make the tables of the encoder's errors of what is set."""
 
     def set_cogging(self, torques_nm: bytes, /) -> None:
         """Cogging over a turn of the rotor: doubles, the first once more at the end. Error: ValueError."""

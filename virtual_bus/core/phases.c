@@ -30,11 +30,10 @@ static Phases phases_of(Pair stator, double amplitude)
 /* Of variance 1: four even numbers of 16 bits, whose sum is bell-shaped up to 3.46. */
 static double noise(uint64_t counter)
 {
-    uint64_t bits = scattered(counter);
-    double sum = 0.0;
-    for (int part = 0; part < 4; part++)
-        sum += (double)(bits >> (16 * part) & 0xFFFF);
-    return (sum - 2.0 * 65535.0) * (SQRT_3 / 65536.0);
+    const uint64_t evens = 0x0000FFFF0000FFFFu;
+    uint64_t bits = scattered(counter), pairs = (bits & evens) + (bits >> 16 & evens);
+    int64_t sum = (int64_t)((pairs & 0xFFFFFFFFu) + (pairs >> 32));
+    return ((double)sum - 2.0 * 65535.0) * (SQRT_3 / 65536.0);
 }
 
 static double sensed(const CurrentSensors *p, double current_a, double scale, double offset_a, uint64_t counter)

@@ -2,8 +2,6 @@
 #ifndef CORE_PLACED_LOAD_H
 #define CORE_PLACED_LOAD_H
 
-#include "rotation.h"
-
 /* Torques against positive speed, N m; places are turns of the motor since power-on, at the load's side. */
 typedef struct PlacedLoad {
     int active;
@@ -23,14 +21,19 @@ typedef struct EndStops {
     double yield_s; /* damping over stiffness */
 } EndStops;
 
-/* Where the load is at the start of a period. */
-typedef struct LoadPlace {
-    double turns;
-    SineCosine arm;
-} LoadPlace;
+/* Where in the table a load was at last. */
+typedef struct TablePlace {
+    int place, speed;
+} TablePlace;
 
-LoadPlace place_of(const PlacedLoad *load, double turns);
-/* Of a load that has turned so far from there. */
-double placed_load_nm(const PlacedLoad *load, const LoadPlace *from, double turned_rad, double speed_rad_s);
+/* What is asked at a place: the arm's sine, and the torque of all the rest, N m. */
+typedef struct Asked {
+    double arm_sine, rest_nm;
+} Asked;
+
+/* Of a load at that place and speed. */
+Asked placed_load(const PlacedLoad *load, TablePlace *last, double turns, double speed_rad_s);
+/* On the way between two of them that are `way_rad` apart, `ahead_rad` beyond the first. */
+Asked asked_between(const PlacedLoad *load, Asked from, Asked to, double way_rad, double ahead_rad);
 
 #endif

@@ -106,6 +106,7 @@ def _fill_errors(inner: InnerLoops, encoder: Encoder, period_s: float) -> None:
         inner.sine_offset, inner.cosine_offset = sines.sine_offset, sines.cosine_offset
         shift = sine_cosine(sines.quadrature_rad)
         inner.sine_in_phase, inner.sine_across = (1.0 + sines.gain) * shift[1], (1.0 + sines.gain) * shift[0]
+    inner.tabulate_errors()
 
 
 def _filter_gain(speed: SpeedSensing, period_s: float) -> float:

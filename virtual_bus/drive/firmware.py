@@ -66,8 +66,8 @@ _OVERSPEED = 2.0
 def fill_machine(
     inner: InnerLoops, motor: PmsmParameters, period_s: float, fastest_rad_s: float = 0.0
 ) -> None:
-    """Give ``inner`` the motor and the number of integration steps per ``period_s``, up to ``fastest_rad_s``
-    of the shaft or twice its rated speed.
+    """Give ``inner`` the motor and the number of integration steps per ``period_s``, up to twice its rated
+    speed; a drive that weakens the field takes more above it, up to ``fastest_rad_s``.
 
     The core integrates the equations of :mod:`servobench.design.motor`, in the rotor's dq frame, with the
     mechanics. Coulomb friction holds a resting shaft until the other torques exceed it. The load torque is an
@@ -91,17 +91,25 @@ def fill_machine(
     per_inductance = 1.0 / min(motor.inductance_d_h, motor.inductance_q_h)
     if motor.iron is not None:
         per_inductance = fill_iron(inner, motor, motor.iron)
-    angular_rad_s = motor.resistance_ohm * per_inductance
-    angular_rad_s += motor.pole_pairs * max(_OVERSPEED * motor.rated_speed_rad_s, fastest_rad_s)
-    substeps = max(1, math.ceil(period_s * angular_rad_s / _STEP_ANGLE_MAX))
     if motor.mechanism is not None:
         fill_mechanism(inner, motor, motor.mechanism)
-        substeps = max(substeps, steps_in(period_s, motor.mechanism, motor.inertia_kg_m2))
-    inner.substeps = substeps
-    inner.step_s = period_s / substeps
+    calm_rad_s = _OVERSPEED * motor.rated_speed_rad_s
+    inner.substeps = _steps(motor, period_s, per_inductance, calm_rad_s)
+    inner.step_s = period_s / inner.substeps
+    inner.field_calm_rad_s, inner.field_calm_steps = calm_rad_s, inner.substeps
+    inner.field_fast_steps = _steps(motor, period_s, per_inductance, max(calm_rad_s, fastest_rad_s))
     inner.per_period = 1.0 / period_s
     inner.torque_constant_nm_a = motor.torque_constant_nm_a
     inner.per_torque_constant = 1.0 / motor.torque_constant_nm_a
+
+
+def _steps(motor: PmsmParameters, period_s: float, per_inductance: float, speed_rad_s: float) -> int:
+    """How many steps of integration a period takes up to a speed; ``per_inductance``: 1/H."""
+    angular_rad_s = motor.resistance_ohm * per_inductance + motor.pole_pairs * speed_rad_s
+    steps = max(1, math.ceil(period_s * angular_rad_s / _STEP_ANGLE_MAX))
+    return max(
+        steps, 1 if motor.mechanism is None else steps_in(period_s, motor.mechanism, motor.inertia_kg_m2)
+    )
 
 
 def fill_iron(inner: InnerLoops, motor: PmsmParameters, iron: Iron) -> float:
