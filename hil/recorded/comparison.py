@@ -157,7 +157,7 @@ def _beside(base: RecordedRun, run: RecordedRun) -> Against:
     for rows in run.rows():
         beside.signals.add(rows)
         for name, (theirs, ours) in shared.items():
-            mine = rows[rows["axis"] == ours]
+            mine = rows.compress(rows["axis"] == ours)
             if mine.size:  # a batch may end between two axes of a cycle: each goes as far as it has come
                 _hold(beside, name, others.up_to(theirs, int(mine["sequence"][-1])), mine)
     return beside
@@ -177,7 +177,7 @@ class _RowsByAxis:
             if batch is None:
                 break
             for each, held in self._held.items():
-                self._held[each] = np.concatenate((held, batch[batch["axis"] == each]))
+                self._held[each] = np.concatenate((held, batch.compress(batch["axis"] == each)))
         held = self._held[axis]
         end = int(np.searchsorted(held["sequence"], cycle, side="right"))
         self._held[axis] = held[end:]

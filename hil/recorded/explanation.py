@@ -91,7 +91,7 @@ class Bursts:
         due_at = rows["due_at"] - self._first_cycle
         self.batches.append((int(due_at.min()), int(due_at.max())) if rows.size else (0, -1))
         for number, name in enumerate(self._axes):
-            mine = rows if len(self._axes) == 1 else rows[rows["axis"] == number]
+            mine = rows if len(self._axes) == 1 else rows.compress(rows["axis"] == number)
             if mine.size:
                 self._add(number, name, mine)
 
@@ -108,7 +108,7 @@ class Bursts:
             due_ns = int(row["due_at"]) - self._first_cycle
             told = int(row["delay_ns"]), int(row["sequence"]), due_ns
             self.delayed[name] = max(told, self.delayed.get(name, told))
-        lost = mine[mine["fate"] != FATE_SAMPLE]
+        lost = mine.compress(mine["fate"] != FATE_SAMPLE)
         for sequence, due_at, fate in zip(
             lost["sequence"].tolist(), lost["due_at"].tolist(), lost["fate"].tolist(), strict=True
         ):
@@ -202,7 +202,7 @@ def explain(judged: Judged, bursts: Bursts) -> Explanation:
         begin, end = place.begin_ns - AROUND_NS, place.end_ns + AROUND_NS
         numbers = [n for n, (first, last) in enumerate(bursts.batches) if begin <= last and first <= end]
         for rows in read_some(run.folder / RECORDS_FILE, numbers):
-            near = rows[(rows["due_at"] >= begin) & (rows["due_at"] <= end)]
+            near = rows.compress((rows["due_at"] >= begin) & (rows["due_at"] <= end))
             place.cycles += [_cycle(row, run.axes) for row in near]
     zero_ns = 0
     try:

@@ -147,7 +147,7 @@ class RunSignals:
         if rows.size:
             self.last_cycle = max(self.last_cycle, int(rows["due_at"][-1]) - first_cycle)
         for number, name in enumerate(self.axes):
-            mine = rows if len(self.axes) == 1 else rows[rows["axis"] == number]
+            mine = rows if len(self.axes) == 1 else rows.compress(rows["axis"] == number)
             if self.window_s != (None, None):  # a copy of whole rows
                 due_at = mine["due_at"] - first_cycle
                 mine = mine[(due_at >= self._begin) & (due_at <= self._end)]

@@ -78,7 +78,7 @@ class FrameOrder:
     def _limit(self, segment: int, frames: NDArray[np.void]) -> int:
         """Return the instant until which a segment can bring no further frame, ns."""
         # Simulated error frames are told at their instant, past what waits to be received.
-        received = frames[(frames["sent"] == 2 * segment) & (frames["can_id"] & ERROR_FLAG == 0)]
+        received = frames.compress((frames["sent"] == 2 * segment) & (frames["can_id"] & ERROR_FLAG == 0))
         if received.size:
             self._received_until[segment] = max(self._received_until[segment], int(received["at"].max()))
             return self._received_until[segment] - JITTER_NS

@@ -31,7 +31,7 @@ class ObservedFrames:
     def take(self, frames: NDArray[np.void]) -> None:
         """``frames``: (n,) of FRAME_DTYPE."""
         for drive in self._drives if frames.size else ():
-            for path, times, values in drive.told(frames[frames["sent"] >> 1 == drive.segment]):
+            for path, times, values in drive.told(frames.compress(frames["sent"] >> 1 == drive.segment)):
                 self._held.setdefault(path, []).append((times, values))
 
     def drain(self) -> Iterator[Signal]:
@@ -58,7 +58,7 @@ class _Drive:
             told = frames[ids == PdoDirection.TRANSMIT.default_cob_id(number, self._node)]
             for signal, first in self._places(words) if told.size else ():
                 size = calcsize(signal.code)
-                whole = told[told["length"] >= first + size]
+                whole = told.compress(told["length"] >= first + size)
                 raw = np.ascontiguousarray(whole["data"][:, first : first + size])
                 values = raw.view(np.dtype(signal.code).newbyteorder("<"))[:, 0]
                 yield self._root + signal.path, whole["at"], signal.factor * values.astype(float)

@@ -76,9 +76,9 @@ def position_lines_of(rows: Rows) -> Iterator[Line]:
 
 def marks_of(rows: Rows) -> Iterator[Drawn]:
     """Points beside the lines."""
-    dropped = rows[rows["fate"] != FATE_SAMPLE]
-    doubtful = rows[rows["certain"] == 0]
-    lost = rows[rows["command_fate"] == _LOST]
+    dropped = rows.compress(rows["fate"] != FATE_SAMPLE)
+    doubtful = rows.compress(rows["certain"] == 0)
+    lost = rows.compress(rows["command_fate"] == _LOST)
     yield "speed/dropped", dropped["due_at"], dropped["estimate_velocity_rad_s"] * RPM_PER_RAD_S
     yield "delay/dropped", dropped["due_at"], np.zeros(dropped.size)
     at_us = np.where(doubtful["delay_ns"] == NOTHING, 0, doubtful["delay_ns"]) / NS_PER_US

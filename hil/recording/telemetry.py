@@ -142,7 +142,7 @@ class Telemetry:
             self._start_at(int(rows["due_at"][0]))
         self._note_instants(int(rows["due_at"][0]), int(rows["due_at"][-1]))
         for number, name in enumerate(self._axes):
-            mine = rows if len(self._axes) == 1 else rows[rows["axis"] == number]
+            mine = rows if len(self._axes) == 1 else rows.compress(rows["axis"] == number)
             if mine.size:
                 self._show_axis(number, name, mine)
         self._show_observed()

@@ -68,7 +68,7 @@ class PremisesMeter:
         missing: NDArray[np.int64] = np.diff(came, prepend=-1) - 1
         missing[0] += self._missing
         self._missing = int(rows.size - 1 - came[-1])
-        samples = rows[came]
+        samples = rows.take(came)
         least, most = action_delays_ns(samples, period_ns)
         if least.size:
             self._shortest_us = min(self._shortest_us, float(most.min()) / NS_PER_US)
@@ -266,7 +266,7 @@ class CertificateMeter:
     def _take(self, part: Rows) -> None:
         assert self._changed_at is not None
         self._premises.count_limited(part, self._step_nm != 0.0)
-        came = part[part["fate"] == FATE_SAMPLE]
+        came = part.compress(part["fate"] == FATE_SAMPLE)
         if not came.size:
             return
         error = self._reference - came["velocity_rad_s"]

@@ -12,16 +12,16 @@ _MANTISSA_BITS = 10
 """A bucket is 1/1024 of its octave's begin wide, and a figure off by half of it."""
 _BUCKETS_PER_OCTAVE = 1 << _MANTISSA_BITS
 _LARGEST_BITS = 50
-"""13 days; the buckets of a histogram take 330 KB."""
+"""13 days; the buckets up to there take 330 KB, those up to a millisecond 88."""
 _LARGEST_NS = (1 << _LARGEST_BITS) - 1
-_BUCKETS = (_LARGEST_BITS - _MANTISSA_BITS + 1) * _BUCKETS_PER_OCTAVE
 
 
 class TimeHistogram:
     """Counts times from 0 to 2^50 ns (13 days); shorter ones count as 0, longer ones as the largest."""
 
     def __init__(self) -> None:
-        self._counts: NDArray[np.int64] = np.zeros(_BUCKETS, np.int64)
+        self._counts: NDArray[np.int64] = np.zeros(0, np.int64)
+        """Of whole octaves, up to that of the largest time: a campaign's run makes some twenty histograms."""
         self.total = 0
         self._smallest_ns = _LARGEST_NS
         self._largest_ns = 0
@@ -34,6 +34,7 @@ class TimeHistogram:
         places = _bucket_of(clipped)
         first = int(places.min())
         counts = np.bincount(places - first)
+        self._reach(first + counts.size)
         self._counts[first : first + counts.size] += counts
         self.total += clipped.size
         self._smallest_ns = min(self._smallest_ns, int(clipped.min()))
@@ -65,10 +66,17 @@ class TimeHistogram:
 
     def take_in(self, other: "TimeHistogram") -> None:
         """Add the counts of another histogram."""
-        self._counts += other._counts
+        self._reach(other._counts.size)
+        self._counts[: other._counts.size] += other._counts
         self.total += other.total
         self._smallest_ns = min(self._smallest_ns, other._smallest_ns)
         self._largest_ns = max(self._largest_ns, other._largest_ns)
+
+    def _reach(self, buckets: int) -> None:
+        """Have at least so many buckets."""
+        if buckets > self._counts.size:
+            added = -(-(buckets - self._counts.size) // _BUCKETS_PER_OCTAVE) * _BUCKETS_PER_OCTAVE
+            self._counts = np.concatenate((self._counts, np.zeros(added, np.int64)))
 
 
 def merged(histograms: Iterable[TimeHistogram]) -> TimeHistogram:

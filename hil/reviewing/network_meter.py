@@ -100,9 +100,9 @@ class AxisNetworkMeter:
         self.fates += np.bincount(rows["fate"], minlength=self.fates.size)
         self.uncertain += int(np.count_nonzero(rows["certain"] == 0))
         self.reading.add(rows["delay_ns"][rows["delay_ns"] != NOTHING])
-        on_bus = rows[rows["command_on_bus_at"] != NOTHING]
+        on_bus = rows.compress(rows["command_on_bus_at"] != NOTHING)
         self.command.add(on_bus["command_on_bus_at"] - on_bus["command_handed_at"])
-        self._add_actions(rows[(rows["fate"] == FATE_SAMPLE) & (rows["command_fate"] == ACTING)])
+        self._add_actions(rows.compress((rows["fate"] == FATE_SAMPLE) & (rows["command_fate"] == ACTING)))
         self.readings_lost.add(rows["fate"] != FATE_SAMPLE, rows["due_at"])
         told, passed = rows["command_fate"], passed_over(rows)
         self.command_fates += np.bincount(told[told != NOTHING], minlength=len(COMMAND_FATES))
@@ -152,7 +152,7 @@ class NetworkMeter:
     def add(self, rows: Rows) -> None:
         """Take in ``rows``: (n,) of ROW_DTYPE, each axis in order of sequence."""
         for number, axis in enumerate(self.axes):
-            axis.add(rows if len(self.axes) == 1 else rows[rows["axis"] == number])
+            axis.add(rows if len(self.axes) == 1 else rows.compress(rows["axis"] == number))
 
     def action_delays(self) -> tuple[TimeHistogram, TimeHistogram]:
         """Delay to actuation over all axes: the least and the most that it may be."""
@@ -247,7 +247,7 @@ def action_delays_ns(came: Rows, period_ns: int) -> tuple[NDArray[np.int64], NDA
     it. A drive that tells its torque demand tells it at SYNCs: the command acts after one and by the next.
     ``came``: (n,) of ROW_DTYPE with usable readings only; (m,) ns each, of the commands known to act.
     """
-    acting = came[came["command_fate"] == ACTING]
+    acting = came.compress(came["command_fate"] == ACTING)
     late = acting["received_at"] - acting["command_handed_at"]
     behind = np.where(late > 0, -(-late // period_ns), 0) * period_ns - acting["sampled_at"]
     least: NDArray[np.int64] = acting["command_acts_after"] + behind

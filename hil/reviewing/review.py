@@ -145,7 +145,7 @@ class Review:
         self._add_host_times(rows)
         self.network.add(rows)
         for number, axis in enumerate(self._axes):
-            axis.add(rows if len(self._axes) == 1 else rows[rows["axis"] == number])
+            axis.add(rows if len(self._axes) == 1 else rows.compress(rows["axis"] == number))
 
     def _add_host_times(self, rows: Rows) -> None:
         due_at, woke_at, compute = rows["due_at"], rows["woke_at"], rows["compute_ns"]
@@ -294,7 +294,7 @@ class StepMeter:
     def _take(self, rows: Rows) -> None:
         step = self._open
         self._lasted += rows.size
-        came = rows[rows["fate"] == FATE_SAMPLE]
+        came = rows.compress(rows["fate"] == FATE_SAMPLE)
         if step is None or not came.size:
             return
         beyond: NDArray[np.float64] = (came["velocity_rad_s"] - step.target) * math.copysign(1.0, step.size)

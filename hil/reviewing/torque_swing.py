@@ -82,7 +82,7 @@ class TorqueSwingMeter:
         """Take in rows of this axis: (n,) of ROW_DTYPE, in order of sequence."""
         commanded = rows["command_expires_at"] != NOTHING
         if not commanded.all():
-            rows = rows[commanded]
+            rows = rows.compress(commanded)
         if not rows.size:
             return
         steady = self._steady(rows)

@@ -259,7 +259,7 @@ class PositionErrorMeter:
     def _take_errors(self, rows: Rows) -> None:
         due_at, reference = rows["due_at"], rows["reference_position_rad"]
         counts = (rows["fate"] == FATE_SAMPLE) & (due_at - self._stepped_at(rows) >= self._settling_ns)
-        read = rows[counts]
+        read = rows.compress(counts)
         passed_s = (read["sampled_at"] - read["due_at"]) / 1e9
         asked = reference[counts] + read["reference_rad_s"] * passed_s
         self.counted.add(read["due_at"], np.abs(asked - read["position_rad"]))
@@ -282,12 +282,12 @@ class PositionErrorMeter:
         return stepped
 
     def _take_following(self, rows: Rows) -> None:
-        sent = rows[rows["command_handed_at"] != NOTHING]
+        sent = rows.compress(rows["command_handed_at"] != NOTHING)
         reached_at = np.concatenate((self._reached_at, sent["command_effective_at"] + self._period))
         set_points = np.concatenate((self._set_points, sent["command_position_rad"]))
-        read = rows[rows["fate"] == FATE_SAMPLE]
+        read = rows.compress(rows["fate"] == FATE_SAMPLE)
         if reached_at.size > 1:
-            read = read[read["sampled_at"] >= reached_at[0]]
+            read = read.compress(read["sampled_at"] >= reached_at[0])
             origin = reached_at[0]
             way = np.interp(read["sampled_at"] - origin, reached_at - origin, set_points)
             errors = np.abs(way - read["position_rad"])

@@ -295,7 +295,7 @@ class FramesIndex:
 
     def know(self, rows: NDArray[np.void], count: int) -> None:
         """Go on behind an index of ``count`` frames."""
-        told = rows[rows["can_id"] != BATCH]
+        told = rows.compress(rows["can_id"] != BATCH)
         for number, telling in enumerate(self._telling):
             mine = told["can_id"][told["sent"] >> 1 == number]
             telling.of(_standard(mine), (mine & REMOTE_FLAG) != 0)
@@ -346,7 +346,7 @@ def read_index(folder: Path) -> NDArray[np.void]:
 
 def indexed_batches(rows: NDArray[np.void]) -> NDArray[np.void]:
     """Return the rows that tell where a batch lies."""
-    batches: NDArray[np.void] = rows[rows["can_id"] == BATCH]
+    batches: NDArray[np.void] = rows.compress(rows["can_id"] == BATCH)
     return batches
 
 
@@ -355,7 +355,7 @@ def needed_before(rows: NDArray[np.void], number: int) -> NDArray[np.void]:
 
     Of node guarding only the last frame of a node counts, and the first one, which tells that it is there.
     """
-    told = rows[(rows["number"] < number) & (rows["can_id"] != BATCH)]
+    told = rows.compress((rows["number"] < number) & (rows["can_id"] != BATCH))
     ids = _standard(told["can_id"])
     keys = ids | (told["sent"].astype(np.int64) >> 1) << 32
     wanted = _SDO[ids]
@@ -367,6 +367,6 @@ def needed_before(rows: NDArray[np.void], number: int) -> NDArray[np.void]:
 
 def needed_behind(rows: NDArray[np.void], number: int) -> NDArray[np.void]:
     """Return those of frames from ``number`` on in which an earlier SDO transfer may end."""
-    told = rows[(rows["number"] >= number) & (rows["can_id"] != BATCH)]
+    told = rows.compress((rows["number"] >= number) & (rows["can_id"] != BATCH))
     needed: NDArray[np.void] = told[_SDO[_standard(told["can_id"])]]
     return needed

@@ -237,7 +237,7 @@ class SetPointTeller:
         """Return the set-points that ``rows``, (n,) of ROW_DTYPE, acted upon; ``zero``: the first cycle."""
         if not self._planned or not rows.size:
             return []
-        sent = rows[rows["command_handed_at"] != NOTHING]
+        sent = rows.compress(rows["command_handed_at"] != NOTHING)
         told: list[tuple[int, int, TextEvent]] = []
         waiting: list[PlannedSetPoint] = []
         for each in self._planned:

@@ -27,7 +27,8 @@ ROW_DTYPE: Final = np.dtype([(column.name, "<f8" if column.is_real else "<i8") f
 """A packed row. A real number that there is none of is NaN, a whole number NOTHING."""
 
 Rows = NDArray[np.void]
-"""(n,) of ROW_DTYPE."""
+"""(n,) of ROW_DTYPE. Choose some of them by ``compress``, which copies whole rows; a mask in brackets copies
+field by field and takes nine times as long."""
 
 
 LINK_OK_CYCLES = 1000
@@ -66,7 +67,7 @@ class DriveStates(_Codes):
 
     def changes(self, rows: Rows) -> list[LabelChange]:
         """Return the changes in rows of one axis, in order."""
-        read = rows[rows["fate"] == FATE_SAMPLE]
+        read = rows.compress(rows["fate"] == FATE_SAMPLE)
         words = (read["statusword"] & STATE_BITS).astype(np.int64)
         told_at = np.where(read["status_told_at"] == NEVER_TOLD, read["due_at"], read["status_told_at"])
         return self._changes(words, told_at, drive_label)
@@ -85,7 +86,7 @@ class LinkStates(_Codes):
 
     def changes(self, rows: Rows) -> list[LabelChange]:
         """Return the changes in rows of one axis, in order."""
-        rows = rows[rows["fate"] != FATE_MISSED]
+        rows = rows.compress(rows["fate"] != FATE_MISSED)
         dropped = np.concatenate((self._window, rows["fate"] != FATE_SAMPLE)).astype(np.int64)
         self._window = dropped[-LINK_OK_CYCLES:]
         total = np.cumsum(dropped)

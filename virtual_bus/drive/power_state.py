@@ -89,9 +89,6 @@ class PowerStateMachine:
         """Counts every change of ``state``, ``motion`` or ``at_rest``."""
         self.torque_off = False
         """Safe torque off is requested: arrow 2 is closed, and :meth:`cut_torque` was called."""
-        self._arrows: dict[State, list[tuple[Transition, ...]]] = {
-            state: [_arrows_for(state, bits) for bits in range(_COMMAND_BITS)] for state in State
-        }
         self.restart()
 
     def restart(self) -> None:
@@ -102,7 +99,7 @@ class PowerStateMachine:
         """The motor was brought to rest and is held there, in QUICK_STOP."""
         self._waiting: Transition | None = None
         self._controlword = 0
-        self._open = self._arrows[self.state]
+        self._open = _ARROWS[self.state]
         self.signal(DriveEvent.INITIALISED)
 
     @property
@@ -193,7 +190,7 @@ class PowerStateMachine:
         self._waiting = None
         self.at_rest = False
         self.state = arrow.target
-        self._open = self._arrows[self.state]
+        self._open = _ARROWS[self.state]
         self.motion = MotorAction.FOLLOW if self.state is State.OPERATION_ENABLED else motion
         self.revision += 1
 
@@ -214,3 +211,9 @@ def _arrows_for(state: State, bits: int) -> tuple[Transition, ...]:
         )
     arrows = (TRANSITION_OF.get((state, command)) for command in commands)
     return tuple(arrow for arrow in arrows if arrow is not None)
+
+
+_ARROWS: Final[dict[State, list[tuple[Transition, ...]]]] = {
+    state: [_arrows_for(state, bits) for bits in range(_COMMAND_BITS)] for state in State
+}
+"""Arrows out of a state, by bits 0 to 3 and 7 of the controlword."""
