@@ -80,7 +80,7 @@ def read_bytes(
 
     Raises BadInput, and of it NoSuchFile.
     """
-    with _opened(path, what, named_by, size_max_bytes) as file:
+    with opened(path, what, named_by, size_max_bytes) as file:
         data = file.read(size_max_bytes + 1)
     if len(data) > size_max_bytes:
         _refuse_size(path, what, len(data), size_max_bytes)
@@ -98,7 +98,7 @@ def read_lines(
     path: Path, what: str, named_by: NamedBy | None = None, size_max_bytes: int = SIZE_MAX_BYTES
 ) -> Iterator[str]:
     """Yield the lines of ``path`` with their line ends, one by one: a long file is not held in memory."""
-    with _opened(path, what, named_by, size_max_bytes) as file:
+    with opened(path, what, named_by, size_max_bytes) as file:
         number = 0
         while line := file.readline(LINE_MAX_BYTES + 1):
             number += 1
@@ -142,7 +142,7 @@ def parse_json(text: str, source: str, what: str, place: str = "") -> Any:
 
 
 @contextmanager
-def _opened(path: Path, what: str, named_by: NamedBy | None, size_max_bytes: int) -> Iterator[BinaryIO]:
+def opened(path: Path, what: str, named_by: NamedBy | None, size_max_bytes: int) -> Iterator[BinaryIO]:
     """Open ``path`` for reading without blocking: opening a FIFO would wait for its writer."""
     blamed = named_by or NamedBy(str(path), "", "")
     try:

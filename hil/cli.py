@@ -142,7 +142,7 @@ class RunOptions:
     ] = None
     replay_faults: Annotated[
         Path | None,
-        valued("--replay-faults", "FILE", "Replay faults.jsonl of a run instead of the bench's own faults."),
+        valued("--replay-faults", "FILE", "Replay faults.arrow of a run instead of the bench's own faults."),
     ] = None
     live: Annotated[bool, flag("--view", "Show the run live in the Rerun viewer.")] = False
     served: Annotated[

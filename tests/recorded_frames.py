@@ -1,7 +1,9 @@
-"""Frames of recordings for tests, as text in candump's form."""
+"""Frames of recordings for tests, as text in candump's form, and their injected faults as objects."""
 
+import json
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -11,9 +13,11 @@ from servobench.hil.recording.frame_files import FrameFiles
 from servobench.hil.reviewing.export_format import ExportFormat
 from servobench.hil.reviewing.frames_export import export_frames
 from servobench.hil.reviewing.trace.log_lines import frame_of_line
+from servobench.hil.rows.faults_file import read_entries
 from servobench.hil.rows.frames_file import read_batches
-from servobench.hil.rows.run_files import FRAMES_FILE
+from servobench.hil.rows.run_files import FAULTS_FILE, FRAMES_FILE
 from servobench.hil.rows.side_rows import FRAME_DTYPE, frame_row
+from servobench.virtual_bus.faults.fault_log import entries_of, entry_line
 
 
 def candump(folder: Path) -> Path:
@@ -26,6 +30,12 @@ def candump(folder: Path) -> Path:
 def candump_text(folder: Path) -> str:
     """The same, its content."""
     return candump(folder).read_text()
+
+
+def injected(folder: Path) -> list[dict[str, Any]]:
+    """The injected faults of a recording that may lack its end, as their lines tell them."""
+    entries = [each for batch in read_entries(folder / FAULTS_FILE) for each in entries_of(batch.tobytes())]
+    return [json.loads(entry_line(entry)) for entry in entries]
 
 
 def directions(folder: Path) -> list[str]:

@@ -32,7 +32,7 @@ _FILES = (
     "The tables `motor`, `commissioned`, `controller` and `current_control.controller` and the lists "
     "`faults.plan` and `background` may stand in files of their own: the key is then the path of the file, "
     "relative to the bench file. `[faults]` holds the tables of a [fault plan](faults.md), or `plan`, the "
-    "path of one or of a run's `faults.jsonl`."
+    "path of one or of a run's `faults.arrow`."
 )
 _EXAMPLES = re.compile(r"^Examples:\n((?: +\S.*\n)+)", re.MULTILINE)
 _BOUNDS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}

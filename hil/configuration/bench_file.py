@@ -53,13 +53,13 @@ def load_bench(path: Path) -> BenchConfig:
 
 
 def load_faults(path: Path, named_by: NamedBy | None = None) -> Faults:
-    """Load the fault plan at ``path``, or the faults recorded there by a run (``.jsonl``); ``named_by``: its
-    source.
-
-    Raises BadInput or BadInputs.
-    """
+    """Load the fault plan at ``path``, or a run's recorded faults. Raises BadInput or BadInputs."""
     if path.suffix == ".jsonl":
         return read_recorded(path, named_by)
+    if path.suffix == ".arrow":
+        from servobench.hil.rows.faults_file import read_faults  # pyarrow, which a plan does without
+
+        return read_faults(path, named_by)
     tables = read_toml(path, "fault plan", named_by)
     if other := other_kind(tables):
         raise BadInput(str(path), "", f"a {other}", "a fault plan, with tables such as [[loss]] or [[delay]]")

@@ -22,9 +22,9 @@ from servobench.hil.configuration.quantities import WHOLE, HeartbeatTimeout, Tor
 from servobench.hil.configuration.references import Load, Reference
 from servobench.hil.loop.scenario import Quantity
 from servobench.hil.loop.syncs import HORIZON_MAX
+from servobench.hil.rows.run_files import FAULTS_FILE
 from servobench.hil.verdict.metrics import LIMITED, VerdictLimits
 from servobench.virtual_bus.device.background import Stream
-from servobench.virtual_bus.faults.fault_log import FAULTS_FILE
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
 from servobench.virtual_bus.hosting.injection import Faults
 

@@ -15,14 +15,14 @@ import numpy as np
 from servobench.drivers.errors import BadInput, printable
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US
 from servobench.hil.loop.cycle_record import COLUMNS, COMMAND_FATES, FATE_SAMPLE, NOTHING
-from servobench.hil.recorded.judgement import Judged
+from servobench.hil.recorded.recorded_run import RecordedRun
 from servobench.hil.reviewing.trace.decoder import decode
 from servobench.hil.reviewing.trace.frame_columns import LogWindow
 from servobench.hil.reviewing.trace.run_trace import RecordedBus
 from servobench.hil.reviewing.trace.trace_entry import TraceEntry
 from servobench.hil.rows.events import ACTIVE, INJECTED_TRACK, PARTS, QUIET, read_events
 from servobench.hil.rows.records import Rows
-from servobench.hil.rows.records_file import read_some
+from servobench.hil.rows.records_file import read_records, read_some
 from servobench.hil.rows.run_files import EVENTS_FILE, RECORDS_FILE
 from servobench.hil.verdict.metrics import metric_title
 from servobench.hil.verdict.summary import Summary
@@ -43,6 +43,7 @@ _OF_DROPOUTS: Final = ("dropouts_percent_max", "losses_in_a_row_max", "missed_pe
 _OF_DELAYS: Final = ("delay_p99_us_max", "certified_action_delay_us")
 _OF_TIMES: Final = ("settling_time_ms_max", "recovery_time_ms_max")
 """What is too long goes on behind its instant for so long: what was injected meanwhile is a cause."""
+_LOOKED_AT: Final = ("sequence", "axis", "due_at", "fate", "delay_ns")
 _FATES: Final = next(column.codes for column in COLUMNS if column.name == "fate")
 _BY_LIMITS: Final = (VerdictKind.NOT_PASSED, VerdictKind.NOT_MEASURED)
 _WORTH: Final = ("WARN", "ERROR", "CRITICAL")
@@ -74,10 +75,8 @@ class LostInARow(NamedTuple):
 class Bursts:
     """The longest bursts of each axis, and its longest delay; add all rows in their order."""
 
-    def __init__(self, axes: Sequence[str], first_cycle: int = 0) -> None:
-        """``first_cycle``: what the instants of the rows count it as."""
+    def __init__(self, axes: Sequence[str]) -> None:
         self._axes = axes
-        self._first_cycle = first_cycle
         self._open: list[list[tuple[int, int, int]]] = [[] for _ in axes]
         """Number, instant and fate of the dropouts in a row that came last."""
         self._longest: list[list[LostInARow]] = [[] for _ in axes]
@@ -87,8 +86,8 @@ class Bursts:
         """From when to when the cycles of each call were due, run time; an end before its begin: none."""
 
     def add(self, rows: Rows) -> None:
-        """(n,) of ROW_DTYPE: the next batch of the file."""
-        due_at = rows["due_at"] - self._first_cycle
+        """(n,), with the columns of :data:`_LOOKED_AT` at least: the next batch of the file, in run time."""
+        due_at = rows["due_at"]
         self.batches.append((int(due_at.min()), int(due_at.max())) if rows.size else (0, -1))
         for number, name in enumerate(self._axes):
             mine = rows if len(self._axes) == 1 else rows.compress(rows["axis"] == number)
@@ -105,8 +104,7 @@ class Bursts:
         known = np.flatnonzero(mine["delay_ns"] != NOTHING)
         if known.size:
             row = mine[known[np.argmax(mine["delay_ns"][known])]]
-            due_ns = int(row["due_at"]) - self._first_cycle
-            told = int(row["delay_ns"]), int(row["sequence"]), due_ns
+            told = int(row["delay_ns"]), int(row["sequence"]), int(row["due_at"])
             self.delayed[name] = max(told, self.delayed.get(name, told))
         lost = mine.compress(mine["fate"] != FATE_SAMPLE)
         for sequence, due_at, fate in zip(
@@ -114,7 +112,7 @@ class Bursts:
         ):
             if self._open[number] and self._open[number][-1][0] != sequence - 1:
                 self._close(number)
-            self._open[number].append((sequence, due_at - self._first_cycle, fate))
+            self._open[number].append((sequence, due_at, fate))
         if self._open[number] and self._open[number][-1][0] != int(mine["sequence"][-1]):
             self._close(number)
 
@@ -192,11 +190,16 @@ def brief(summary: Summary, folder: Path) -> Explanation:
     return Explanation(tuple(shown), tuple(elsewhere), more=len(places) - len(shown))
 
 
-def explain(judged: Judged, bursts: Bursts) -> Explanation:
-    """With the cycles and the frames around; ``bursts`` has the rows of the run."""
-    run, notes = judged.run, list[str]()
+def explain(run: RecordedRun, summary: Summary) -> Explanation:
+    """With the cycles and the frames around; ``summary``: the run's own, or by other limits.
+
+    Of each cycle a few columns are read, of those around all.
+    """
+    notes, bursts = list[str](), Bursts(run.axes)
+    for rows in read_records(run.folder / RECORDS_FILE, columns=_LOOKED_AT):
+        bursts.add(rows)
     events = list(read_events(run.folder / EVENTS_FILE))
-    places, elsewhere = _places(judged.summary, events, bursts.found(), bursts.delayed)
+    places, elsewhere = _places(summary, events, bursts.found(), bursts.delayed)
     shown = _shown(places, events)
     for place in shown:
         begin, end = place.begin_ns - AROUND_NS, place.end_ns + AROUND_NS
@@ -211,7 +214,7 @@ def explain(judged: Judged, bursts: Bursts) -> Explanation:
         notes += [*bus.notes, *bus.log.notes()]
         for place in shown:
             window = LogWindow(zero_ns + place.begin_ns - AROUND_NS, zero_ns + place.end_ns + AROUND_NS)
-            entries = decode(bus.of_window(window), known, window.end_ns)
+            entries = decode(bus.of_window(window, run.sealed), known, window.end_ns)
             place.frames = [each for each in entries if _within(each.at_ns, window)]
     except BadInput as error:
         notes.append(f"no frames: {error}")

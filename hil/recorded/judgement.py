@@ -5,7 +5,7 @@ what the timing rests on, is what ``summary.json`` says. The digest holds the tw
 those of the run are told.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -14,7 +14,6 @@ from servobench.drivers.bounded_file import NamedBy
 from servobench.hil.configuration.config import VerdictConfig
 from servobench.hil.configuration.config_files import Section, load_file
 from servobench.hil.recorded.recorded_run import RecordedRun, RunSignals
-from servobench.hil.rows.records import Rows
 from servobench.hil.rows.run_files import RECORDS_FILE
 from servobench.hil.verdict.figures import Figures
 from servobench.hil.verdict.metrics import VerdictLimits
@@ -50,10 +49,8 @@ def load_requirements(path: Path) -> VerdictConfig:
     ).verdict
 
 
-def judge_run(
-    run: RecordedRun, against: Path | None = None, beside: Callable[[Rows], None] = lambda _rows: None
-) -> Judged:
-    """Read the rows once, in bounded memory; ``beside`` is given them, too.
+def judge_run(run: RecordedRun, against: Path | None = None) -> Judged:
+    """Read the rows once, in bounded memory.
 
     Raises BadInput or BadInputs for ``against``.
     """
@@ -68,7 +65,6 @@ def judge_run(
     signals = RunSignals(run.review, run.config.loop.deadline)
     for rows in run.bench_rows():
         signals.add(rows, run.first_cycle)
-        beside(rows)
     summary = _judged(run, signals.review.figures(), plan.limits)
     return Judged(run, str(against) if against else "the bench's own limits", summary, signals)
 

@@ -36,7 +36,7 @@ from servobench.hil.rows.run_files import (
     SUMMARY_FILE,
     not_a_recording,
 )
-from servobench.hil.rows.seal import NOT_CHECKED, seal_of
+from servobench.hil.rows.seal import NOT_CHECKED, SealedFiles, seal_of
 from servobench.hil.verdict.summary import Summary
 
 
@@ -52,6 +52,8 @@ class RecordedRun:
     """Settings on which its figures and its verdict depended."""
     seal: str = field(default=NOT_CHECKED, kw_only=True)
     """Result of checking the files against the seal."""
+    sealed: SealedFiles | None = field(default=None, kw_only=True)
+    """Whoever reads windows of the frames holds them against it."""
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -81,9 +83,12 @@ class RecordedRun:
         return f"{self.config.bench.name} ({self.folder})"
 
 
-def open_run(folder: Path, *, unsealed: bool = False, whole: bool = False) -> RecordedRun:
+def open_run(
+    folder: Path, *, unsealed: bool = False, whole: bool = False, windows: bool = False
+) -> RecordedRun:
     """The run in ``folder``; ``unsealed``: whether or not its files are as they were recorded; ``whole``: its
-    records have to have their end.
+    records have to have their end; ``windows``: of its frames only windows are read, and of the large files
+    that nobody reads the length is checked alone.
 
     Raises BadInput for what is none, is not ended, is of another format, or does not fit its seal.
     """
@@ -97,7 +102,13 @@ def open_run(folder: Path, *, unsealed: bool = False, whole: bool = False) -> Re
         raise BadInput("RUN", "", str(folder), expected, "hil recover ends it")
     if whole:
         refuse_without_end(folder / RECORDS_FILE)
-    seal = seal_of(folder, unsealed=unsealed)
+    sealed = SealedFiles(folder) if windows and not unsealed else None
+    if sealed is None:
+        seal = seal_of(folder, unsealed=unsealed)
+    else:
+        seal = sealed.told
+        sealed.check_small()
+        sealed.check(RECORDS_FILE)
     records = folder / RECORDS_FILE
     metadata = read_metadata(records)
     if not metadata:
@@ -111,7 +122,7 @@ def open_run(folder: Path, *, unsealed: bool = False, whole: bool = False) -> Re
     review = review_plan(config, Certificates(config).plans(), real_time=not config.simulated)
     if int(written_in) <= 2:
         review = replace(review, digested=DIGESTED_TO_FORMAT_2)
-    return RecordedRun(folder, config, metadata, summary, review, seal=seal)
+    return RecordedRun(folder, config, metadata, summary, review, seal=seal, sealed=sealed)
 
 
 class RunSignals:

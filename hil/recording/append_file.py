@@ -2,7 +2,8 @@
 
 Rows that are not yet in their file, as they came, so that they survive a logger that is killed.
 
-Rows of cycles wait until there are enough for a batch of columns, frames until no earlier one can come.
+Rows of cycles and injected faults wait until there are enough for a batch of columns, frames until no earlier
+one can come.
 
     0   magic, row size       8 bytes, u64
     16  rows before these     u64, that the file holds when this one begins anew
@@ -79,6 +80,7 @@ def _whole_lines(descriptor: int) -> int:
 
 TAIL_FILE: Final = "records.tail"
 FRAMES_TAIL_FILE: Final = "frames.tail"
+FAULTS_TAIL_FILE: Final = "faults.tail"
 _MAGIC = b"rowtail1"
 _HEADER = struct.Struct("<8sQQ")
 

@@ -12,7 +12,6 @@ as soon as every segment has brought one that is later, or brings nothing any mo
 """
 
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -22,7 +21,15 @@ from numpy.typing import NDArray
 from servobench.drivers.timebase import NS_PER_MS, Duration
 from servobench.drivers.wire.frame_port import ERROR_FLAG
 from servobench.hil.recording.append_file import AppendFile
-from servobench.hil.rows.frames_file import BATCH_FRAMES, FramesIndex, FramesWriter, finish_frames
+from servobench.hil.rows.arrow_file import extend
+from servobench.hil.rows.frames_file import (
+    BATCH_FRAMES,
+    FramesIndex,
+    FramesWriter,
+    batch_of,
+    finish_frames,
+    frames_schema,
+)
 from servobench.hil.rows.run_files import FRAMES_FILE, INDEX_FILE
 from servobench.hil.rows.side_rows import FRAME_DTYPE
 
@@ -127,31 +134,8 @@ def append_frames(
     if not frames.size and path.exists():
         finish_frames(path)
         return
-    part = path.with_name(f"{path.name}.part")
-    try:
-        _write_anew(part, path, interfaces, frames, offset)
-        part.replace(path)
-    except OSError:
-        part.unlink(missing_ok=True)
-        if path.exists():
-            with suppress(OSError):
-                finish_frames(path)
-        raise
-
-
-def _write_anew(
-    part: Path, path: Path, interfaces: tuple[str, ...], frames: NDArray[np.void], offset: Duration
-) -> None:
-    writer = FramesWriter(part, interfaces)
-    try:
-        if path.exists():
-            writer.copy(path)  # as its seal has it
-        for each in parts_of(frames):
-            writer.write(each, offset)
-        writer.close()
-    except OSError:
-        writer.drop()  # a file that is open keeps its room on the disk
-        raise
+    schema = frames_schema(interfaces)
+    extend(path, schema, (batch_of(each, offset, schema) for each in parts_of(frames)))
 
 
 def parts_of(frames: NDArray[np.void]) -> Iterator[NDArray[np.void]]:

@@ -9,17 +9,24 @@ from numpy.typing import NDArray
 
 from servobench.drivers.timebase import Duration
 from servobench.hil.configuration.network_file import NETWORK_FILE, network_text
-from servobench.hil.recording.append_file import FRAMES_TAIL_FILE, TAIL_FILE, AppendFile, Tail
+from servobench.hil.recording.append_file import (
+    FAULTS_TAIL_FILE,
+    FRAMES_TAIL_FILE,
+    TAIL_FILE,
+    AppendFile,
+    Tail,
+)
 from servobench.hil.recording.frame_files import FrameFiles, FrameOrder
 from servobench.hil.recording.run_metadata import run_metadata
 from servobench.hil.reviewing.network_meter import clocks_of
 from servobench.hil.reviewing.review import Review
-from servobench.hil.rows.events import FaultEntries, RunZero, event_json
+from servobench.hil.rows.events import ENTRY_DTYPE, FaultEntries, RunZero, event_json
+from servobench.hil.rows.faults_file import BATCH_ENTRIES, FaultsWriter
 from servobench.hil.rows.frames_file import BATCH_FRAMES
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.hil.rows.records_file import RecordsWriter
-from servobench.hil.rows.run_files import EVENTS_FILE, FRAMES_FILE, LOAD_FILE, RECORDS_FILE
+from servobench.hil.rows.run_files import EVENTS_FILE, FAULTS_FILE, FRAMES_FILE, LOAD_FILE, RECORDS_FILE
 from servobench.hil.rows.side_rows import (
     FRAME_DTYPE,
     BeginEvent,
@@ -30,7 +37,6 @@ from servobench.hil.rows.side_rows import (
     drives_of,
 )
 from servobench.hil.verdict.summary import Summary
-from servobench.virtual_bus.faults.fault_log import FAULTS_FILE, entry_line
 
 BLOCK_ROWS = 8_192
 """Rows of a block, at 30 bytes each. Half as many take 52 bytes a row; twice as many take 17, and are written
@@ -252,16 +258,41 @@ class NetworkKeeper(Keeper):
 
 
 class FaultsKeeper(Keeper):
-    """faults.jsonl: what :class:`FaultEntries` took last, whenever the others get their rows."""
+    """faults.arrow: what :class:`FaultEntries` took last, whenever the others get their rows; and what is not
+    yet in it."""
 
     name = FAULTS_FILE
 
-    def __init__(self, folder: Path, entries: FaultEntries, *, fresh: bool = True) -> None:
-        self._file = AppendFile(folder / FAULTS_FILE, fresh=fresh)
+    def __init__(self, folder: Path, entries: FaultEntries) -> None:
+        self._writer = FaultsWriter(folder / FAULTS_FILE)
+        self._tail = Tail(folder / FAULTS_TAIL_FILE, ENTRY_DTYPE)
         self._entries = entries
+        self._waiting = np.empty(0, ENTRY_DTYPE)
+        self._written = 0
 
     def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
-        self._file.write("".join(f"{entry_line(entry)}\n" for entry in self._entries.fresh).encode())
+        fresh = self._entries.fresh
+        self._waiting = np.concatenate((self._waiting, fresh))
+        if self._waiting.size < BATCH_ENTRIES:
+            self._tail.append(fresh)
+            return
+        try:
+            self._write(self._waiting.size // BATCH_ENTRIES * BATCH_ENTRIES)
+        except OSError:
+            self._tail.append(fresh)  # an entry takes less room there than its whole batch
+            raise
+        self._tail.restart(self._written, self._waiting)
 
     def finish(self, summary: Summary) -> None:  # noqa: ARG002
-        self._file.close()
+        self._write(self._waiting.size)
+        self._writer.close()
+        self._tail.remove()
+
+    def _write(self, count: int) -> None:
+        """Put the first ``count`` of those that wait into the file."""
+        while count:
+            batch = self._waiting[: min(count, BATCH_ENTRIES)]
+            self._writer.write(batch)
+            self._waiting = self._waiting[batch.size :]
+            self._written += batch.size
+            count -= batch.size

@@ -39,12 +39,14 @@ from servobench.hil.recording.run_metadata import Reserve, write_summary
 from servobench.hil.recording.sealer import Sealer
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.events import BLOCK_DTYPE, FaultEntries, InjectedFaults, RunZero
+from servobench.hil.rows.faults_file import finish_faults
 from servobench.hil.rows.frames_file import finish_frames
 from servobench.hil.rows.recording_plan import RecordingPlan, SetPointTeller
 from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.hil.rows.run_files import (
     BENCH_FILE,
     EVENTS_FILE,
+    FAULTS_FILE,
     FRAMES_FILE,
     INDEX_FILE,
     LOAD_FILE,
@@ -56,7 +58,6 @@ from servobench.hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, RunEvent, ev
 from servobench.hil.verdict.plain_values import from_plain
 from servobench.hil.verdict.summary import Summary, summarise
 from servobench.hil.verdict.verdict import RunOutcome
-from servobench.virtual_bus.faults.fault_log import FAULTS_FILE
 
 
 def open_keepers(plan: RecordingPlan, review: Review) -> list[Keeper]:
@@ -229,9 +230,10 @@ class Logger:
             with suppress(OSError):  # that it is incomplete is told already
                 for fault in whole_records(self._plan, folder):
                     self._note(fault)
-        if any(fault.startswith(FRAMES_FILE) for fault in self._faults):
-            with suppress(OSError):
-                finish_frames(folder / FRAMES_FILE)
+        for name, finish in ((FRAMES_FILE, finish_frames), (FAULTS_FILE, finish_faults)):
+            if any(fault.startswith(name) for fault in self._faults):
+                with suppress(OSError):
+                    finish(folder / name)
 
     def _end_summary(self, folder: Path, outcome: RunOutcome) -> None:
         if self._reserve is not None:

@@ -22,20 +22,29 @@ from pyarrow import ArrowInvalid
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import Instant
 from servobench.hil.machine.extras import is_installed
-from servobench.hil.recording.append_file import FRAMES_TAIL_FILE, TAIL_FILE, AppendFile, read_tail
+from servobench.hil.recording.append_file import (
+    FAULTS_TAIL_FILE,
+    FRAMES_TAIL_FILE,
+    TAIL_FILE,
+    AppendFile,
+    read_tail,
+)
 from servobench.hil.recording.frame_files import FrameOrder, append_frames
-from servobench.hil.recording.log_files import EventsKeeper, FaultsKeeper, NetworkKeeper
+from servobench.hil.recording.log_files import EventsKeeper, NetworkKeeper
 from servobench.hil.recording.ring import RingReader
 from servobench.hil.recording.run_metadata import Reserve, run_metadata, write_summary
 from servobench.hil.recording.sealer import Sealer
 from servobench.hil.reviewing.review import Review
-from servobench.hil.rows.events import BLOCK_DTYPE, FaultEntries, RunZero
+from servobench.hil.rows.events import BLOCK_DTYPE, ENTRY_DTYPE, FaultEntries, RunZero
+from servobench.hil.rows.faults_file import append_faults, read_entries
 from servobench.hil.rows.frames_file import read_batches
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.hil.rows.records_file import RecordsWriter, finish_records, read_metadata, read_records
 from servobench.hil.rows.run_files import (
     EVENTS_FILE,
+    FAULTS_FILE,
+    FAULTS_LOG,
     FIRST_CYCLE,
     FRAMES_FILE,
     FRAMES_LOG,
@@ -49,7 +58,6 @@ from servobench.hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, BeginEvent, 
 from servobench.hil.verdict.plain_values import from_plain
 from servobench.hil.verdict.summary import Summary, summarise
 from servobench.hil.verdict.verdict import RunOutcome
-from servobench.virtual_bus.faults.fault_log import FAULTS_FILE
 
 
 class Rings:
@@ -146,15 +154,14 @@ def recover(
     folder = plan.folder
     assert folder is not None
     reserve = Reserve(folder)
-    for name in (EVENTS_FILE, LOAD_FILE, FAULTS_FILE):
+    for name in (EVENTS_FILE, LOAD_FILE, FAULTS_LOG):
         if (folder / name).exists():
             AppendFile(folder / name, fresh=False).close()
     told = [*faults]
     if plan.frames:
         told += _keep_frames(plan, folder, rings)
     told += _keep_events(plan, folder, rings)
-    if rings is not None:
-        told += _keep_faults(plan, folder, rings)
+    told += _keep_faults(plan, folder, rings)
     told += whole_records(plan, folder, rings)
     review = Review(plan.review)
     network = NetworkKeeper(folder, review) if plan.period_us else None
@@ -218,17 +225,23 @@ def _keep_events(plan: RecordingPlan, folder: Path, rings: Rings | None) -> list
     return []
 
 
-def _keep_faults(plan: RecordingPlan, folder: Path, rings: Rings) -> list[str]:
-    """Keep the injected faults that the logger had not taken; return the reasons for missing ones."""
-    told = [f"{rings.refused} rows lost after the logger had ended"] if rings.refused else []
+def _keep_faults(plan: RecordingPlan, folder: Path, rings: Rings | None) -> list[str]:
+    """Injected faults that the logger had not written, and those that it had not taken; why some are
+    missing."""
+    refused = 0 if rings is None else rings.refused
+    told = [f"{refused} rows lost after the logger had ended"] if refused else []
+    path, tail = folder / FAULTS_FILE, folder / FAULTS_TAIL_FILE
+    if not plan.faults or ((folder / FAULTS_LOG).exists() and not path.exists()):
+        return told  # of an earlier format the lines are whole
     entries = FaultEntries(plan.started_at)
-    entries.take(rings.fault_blocks, first_cycle(plan, folder / RECORDS_FILE, rings), at_end=True)
+    if rings is not None:
+        entries.take(rings.fault_blocks, first_cycle(plan, folder / RECORDS_FILE, rings), at_end=True)
     try:
-        if plan.faults:
-            keeper = FaultsKeeper(folder, entries, fresh=False)
-            keeper.take(np.empty(0, ROW_DTYPE), rings.frames, rings.events)
+        stored = sum(batch.size for batch in read_entries(path)) if path.exists() else 0
+        append_faults(path, np.concatenate((read_tail(tail, ENTRY_DTYPE, stored), entries.fresh)))
     except OSError as error:
-        told.append(f"{FAULTS_FILE} ends before the run: {error.strerror}")
+        return [*told, f"{FAULTS_FILE} ends before the run: {error.strerror}"]
+    tail.unlink(missing_ok=True)
     return told
 
 

@@ -8,6 +8,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -25,7 +26,8 @@ from servobench.drivers.written_file import written
 from servobench.hil.loop.cycle_record import NOTHING, Column
 from servobench.hil.reviewing.export_format import ExportFormat
 from servobench.hil.reviewing.frames_export import OF_FRAMES, export_frames
-from servobench.hil.rows.frames_file import frames_schema
+from servobench.hil.rows.arrow_file import schema_of
+from servobench.hil.rows.faults_file import read_entries
 from servobench.hil.rows.records_file import (
     check_records,
     column_of,
@@ -33,8 +35,9 @@ from servobench.hil.rows.records_file import (
     refuse_later_format,
     refuse_without_end,
 )
-from servobench.hil.rows.run_files import FRAMES_FILE, RECORDS_FILE, not_a_recording
+from servobench.hil.rows.run_files import FAULTS_FILE, FAULTS_LOG, FRAMES_FILE, RECORDS_FILE, not_a_recording
 from servobench.hil.rows.seal import NOT_CHECKED, SEALED, check_seal, seal_of
+from servobench.virtual_bus.faults.fault_log import entries_of, entry_line
 
 CHUNK_ROWS: Final = 1 << 17
 """Rows that are held at once: some 40 MB with all columns, and enough for a row group of Parquet."""
@@ -101,13 +104,16 @@ def export_run(
     run: Path, wanted: ExportFormat, out: Path | None = None, *, unsealed: bool = False
 ) -> Exported:
     """Write the rows of ``run`` to ``out``, by default records.ENDING in its folder, or its frames, by
-    default frames.ENDING; ``unsealed``: whether or not its files are as they were recorded.
+    default frames.ENDING, or its injected faults, by default faults.jsonl; ``unsealed``: whether or not its
+    files are as they were recorded.
 
     The file is there as a whole or not at all; what is no regular file gets its content. Raises BadInput or
     DiskFull.
     """
     if wanted in OF_FRAMES:
-        return _export_frames(run, wanted, out, unsealed=unsealed)
+        return _export(run, FRAMES_FILE, partial(export_frames, run, wanted), wanted, out, unsealed)
+    if wanted is ExportFormat.JSONL:
+        return _export(run, FAULTS_FILE, partial(_write_faults, run), wanted, out, unsealed)
     rows = RecordedRows(run, unsealed=unsealed)
     path = out or run / f"records.{wanted.value}"
     with written("--out", path, f".{wanted.value}") as part, damage_told(rows.path):
@@ -118,17 +124,35 @@ def export_run(
     return Exported(str(path), count, len(rows.columns), size, rows.seal)
 
 
-def _export_frames(run: Path, wanted: ExportFormat, out: Path | None, *, unsealed: bool) -> Exported:
+def _export(
+    run: Path, name: str, write: Callable[[Path], int], wanted: ExportFormat, out: Path | None, unsealed: bool
+) -> Exported:
+    """Write the content of another file than the records."""
     if not run.is_dir():
-        raise not_a_recording(run, FRAMES_FILE)
+        raise not_a_recording(run, name)
     seal = seal_of(run, unsealed=unsealed)
-    path = out or run / f"frames.{wanted.value}"
-    if (run / FRAMES_FILE).is_file():
-        refuse_without_end(run / FRAMES_FILE)
-    with written("--out", path, f".{wanted.value}") as part:
-        count = export_frames(run, wanted, part)
+    source, ending = run / name, f".{wanted.value}"
+    path = out or source.with_suffix(ending)
+    if source.is_file():
+        refuse_without_end(source)
+    with written("--out", path, ending) as part:
+        count = write(part)
         size = part.stat().st_size
-    return Exported(str(path), count, len(frames_schema(())), size, seal or SEALED)
+    return Exported(str(path), count, len(schema_of(source) or ()), size, seal or SEALED)
+
+
+def _write_faults(run: Path, path: Path) -> int:
+    source, count = run / FAULTS_FILE, 0
+    if not source.is_file():
+        older = f"; {run / FAULTS_LOG} has them, a line each" if (run / FAULTS_LOG).is_file() else ""
+        raise BadInput(
+            str(run), "", "no injected faults", f"a recording with {FAULTS_FILE} (of a fault plan){older}"
+        )
+    with path.open("w", encoding="utf-8") as file:
+        for entries in read_entries(source):
+            file.writelines(f"{entry_line(entry)}\n" for entry in entries_of(entries.tobytes()))
+            count += entries.size
+    return count
 
 
 # ---- CSV and Parquet ----------------------------------------------------------------------------------

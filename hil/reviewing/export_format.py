@@ -15,3 +15,5 @@ class ExportFormat(StrEnum):
     ASC = "asc"
     BLF = "blf"
     PCAP = "pcap"
+    JSONL = "jsonl"
+    """The injected faults, one JSON object a line."""

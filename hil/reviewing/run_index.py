@@ -13,7 +13,8 @@ from servobench.drivers.bounded_file import parse_json, read_text, read_toml
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_S
 from servobench.drivers.written_file import is_locked
-from servobench.hil.rows.records_file import is_whole, read_metadata, refuse_later_format
+from servobench.hil.rows.arrow_file import is_whole
+from servobench.hil.rows.records_file import read_metadata, refuse_later_format
 from servobench.hil.rows.run_files import (
     BENCH_FILE,
     EVENTS_FILE,

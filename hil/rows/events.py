@@ -1,7 +1,6 @@
-"""The events of a run: its time zero, the faults injected into it, and the lines of events.jsonl and
-faults.jsonl, which has one for each entry of the run's fault log.
+"""The events of a run: its time zero, the faults injected into it, and the lines of events.jsonl.
 
-The log counts from the first cycle, as all files do, but for the entries of what a drive has from its
+The fault log counts from the first cycle, as all files do, but for the entries of what a drive has from its
 power-on: those count from there, which in simulated time is the beginning. Entries wait until the first cycle
 is known.
 """
@@ -198,9 +197,11 @@ def _node_event(entry: FaultEntry) -> NodeEvent:
     return NodeEvent(entry.at_ns, entry.kind, entry.a, entry.b, entry.c)
 
 
+ENTRY_DTYPE: Final = np.dtype([(name, "<i8") for name in FaultEntry._fields])
+"""An entry of the fault log, as it lies in a block."""
 BLOCK_DTYPE = np.dtype([("length", "<u4"), ("block", "u1", (BLOCK_BYTES,))])
 assert BLOCK_DTYPE.itemsize == BLOCK.size
-_SINCE_POWER_ON = frozenset(code for code, kind in enumerate(LOG_KINDS) if kind.since_power_on)
+_SINCE_POWER_ON = [code for code, kind in enumerate(LOG_KINDS) if kind.since_power_on]
 
 
 class FaultEntries:
@@ -208,22 +209,17 @@ class FaultEntries:
 
     def __init__(self, started_at: Instant) -> None:
         """``started_at``: when the drives were switched on."""
-        self.fresh: list[FaultEntry] = []
-        """Those of the last :meth:`take`."""
+        self.fresh = np.empty(0, ENTRY_DTYPE)
+        """Those of the last :meth:`take`, (n,)."""
         self._started_at = started_at
-        self._early: list[FaultEntry] = []
+        self._early = b""
 
     def take(self, blocks: NDArray[np.void], zero: RunZero, at_end: bool = False) -> list[FaultEntry]:
         """Those in ``blocks``: (n,) of BLOCK_DTYPE. They wait for the first cycle, unless it never comes."""
         for row in blocks:
-            self._early += entries_of(row["block"].tobytes()[: int(row["length"])])
-        self.fresh = []
-        if zero.told or at_end:
-            self.fresh = [self._in_run_time(entry, zero.at) for entry in self._early]
-            self._early.clear()
-        return self.fresh
-
-    def _in_run_time(self, entry: FaultEntry, zero: Instant) -> FaultEntry:
-        if entry.code not in _SINCE_POWER_ON:
-            return entry
-        return entry._replace(at_ns=entry.at_ns + self._started_at - zero)
+            self._early += row["block"].tobytes()[: int(row["length"])]
+        ready = self._early if zero.told or at_end else b""
+        self._early = self._early[len(ready) :]
+        self.fresh = np.frombuffer(ready, ENTRY_DTYPE).copy()
+        self.fresh["at_ns"][np.isin(self.fresh["code"], _SINCE_POWER_ON)] += self._started_at - zero.at
+        return list(entries_of(self.fresh.tobytes()))

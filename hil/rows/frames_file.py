@@ -13,11 +13,9 @@ its last batch is not in it.
 """
 
 import json
-import os
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -32,17 +30,13 @@ from servobench.drivers.wire.frame_port import (
     REMOTE_FLAG,
     STANDARD_ID_MAX,
 )
-from servobench.hil.rows.records_file import MAGIC, finish_file, length_of_batch
+from servobench.hil.rows.arrow_file import DAMAGED, BatchWriter, finish, schema_of, values_of, whole_batches
 from servobench.hil.rows.run_files import FORMAT, INDEX_FILE
 from servobench.hil.rows.side_rows import FRAME_DTYPE
 
 BATCH_FRAMES: Final = 8_192
 """Frames of a batch, at 6 to 10 bytes each; a window decodes whole batches, in some 1 ms each."""
-FRAMES_MAX: Final = 1 << 20
-"""Largest batch that is believed."""
-_OPTIONS: Final = pa.ipc.IpcWriteOptions(compression="zstd")
 _BYTES: Final = np.arange(8, dtype=np.uint8)
-_DAMAGED: Final = "it is damaged; hil runs shows what it came to"
 
 
 def _field(name: str, kind: pa.DataType, meaning: str, **more: str) -> pa.Field:
@@ -94,14 +88,14 @@ def batch_of(frames: NDArray[np.void], offset: int, schema: pa.Schema) -> pa.Rec
 def frames_of(batch: pa.RecordBatch) -> NDArray[np.void]:
     """Return (n,) of FRAME_DTYPE whose ``at`` is the stamp, ns since 1970: inverse of :func:`batch_of`."""
     frames = np.zeros(batch.num_rows, FRAME_DTYPE)
-    frames["at"] = _values(batch.column("stamp").view(pa.int64()))
-    error, extended = _values(batch.column("error")), _values(batch.column("extended"))
+    frames["at"] = values_of(batch.column("stamp").view(pa.int64()))
+    error, extended = values_of(batch.column("error")), values_of(batch.column("extended"))
     # linux/can.h: an error frame has a 29-bit identifier, its class
     flags = np.where(extended | error, EXTENDED_FLAG, 0) | np.where(error, ERROR_FLAG, 0)
-    flags |= np.where(_values(batch.column("remote")), REMOTE_FLAG, 0)
-    frames["can_id"] = _values(batch.column("can_id")).astype(np.int64) | flags
-    frames["sent"] = _values(batch.column("segment")) << 1 | _values(batch.column("sent"))
-    frames["length"] = _values(batch.column("dlc"))
+    flags |= np.where(values_of(batch.column("remote")), REMOTE_FLAG, 0)
+    frames["can_id"] = values_of(batch.column("can_id")).astype(np.int64) | flags
+    frames["sent"] = values_of(batch.column("segment")) << 1 | values_of(batch.column("sent"))
+    frames["length"] = values_of(batch.column("dlc"))
     data = batch.column("data")
     _, offsets, payload = data.buffers()
     begins = np.frombuffer(offsets, np.int32, batch.num_rows + 1, data.offset * 4)
@@ -114,22 +108,6 @@ def frames_of(batch: pa.RecordBatch) -> NDArray[np.void]:
     return frames
 
 
-def _values(column: pa.Array) -> NDArray[Any]:
-    """Return (n,) of numbers or truth values as they lie in memory.
-
-    ``to_numpy`` would load pandas for it, which takes longer than a window of an hour is read in. Raises
-    ValueError or TypeError for a column with nulls, or of another type.
-    """
-    if not pa.types.is_boolean(column.type):
-        values: NDArray[Any] = np.from_dlpack(column)
-        return values
-    if column.null_count:
-        raise ValueError(f"{column.null_count} nulls")
-    bits = np.frombuffer(column.buffers()[1] or b"", np.uint8)
-    whole = np.unpackbits(bits, count=column.offset + len(column), bitorder="little")
-    return whole[column.offset :].view(np.bool_)
-
-
 class FrameBatch(NamedTuple):
     """A batch where it lies in the file."""
 
@@ -140,57 +118,25 @@ class FrameBatch(NamedTuple):
     """(n,) of FRAME_DTYPE, ``at`` ns since 1970."""
 
 
-class FramesWriter:
+class FramesWriter(BatchWriter):
     """Appends batches to a new file. Every method may raise OSError, and leaves whole batches then."""
 
     def __init__(self, path: Path, interfaces: Sequence[str]) -> None:
-        self._path = path
-        self._file = pa.OSFile(str(path), "wb")
-        self._schema = frames_schema(interfaces)
-        self._writer = pa.ipc.new_file(self._file, self._schema, options=_OPTIONS)
-        self.write(np.empty(0, FRAME_DTYPE), 0)  # nothing is on disk before the first batch
+        super().__init__(path, frames_schema(interfaces))
 
     def write(self, frames: NDArray[np.void], offset: int) -> int:
         """Append one batch of (n,) of FRAME_DTYPE; ``offset``: epoch minus their clock, ns. Return the byte
         at which it begins."""
-        return self._append(batch_of(frames, offset, self._schema))
-
-    def copy(self, path: Path) -> int:
-        """Append the whole batches of a file to the byte; return how many frames they have."""
-        count = 0
-        for _, _, batch in _batches(path):
-            if batch.num_rows:  # the head has the empty one
-                self._append(batch)
-                count += batch.num_rows
-        return count
-
-    def close(self) -> None:
-        """Write the footer."""
-        self._writer.close()
-        self._file.close()
-
-    def drop(self) -> None:
-        """Close the file as it is."""
-        self._file.close()
-
-    def _append(self, batch: pa.RecordBatch) -> int:
-        begin: int = self._file.tell()
-        try:
-            self._writer.write_batch(batch)
-        except OSError:
-            with suppress(OSError):
-                os.truncate(self._path, begin)
-            raise
-        return begin
+        return self.append(batch_of(frames, offset, self.schema))
 
 
 def read_interfaces(path: Path) -> tuple[str, ...]:
     """Names by segment; empty of a file that was truncated before its head. Raises BadInput."""
-    schema = _schema_of(path)
+    schema = schema_of(path)
     try:
         told = json.loads((schema.metadata or {})[b"interfaces"]) if schema is not None else []
     except (KeyError, ValueError) as error:
-        raise BadInput(str(path), "interfaces", repr(error), "their names", _DAMAGED) from None
+        raise BadInput(str(path), "interfaces", repr(error), "their names", DAMAGED) from None
     return tuple(map(str, told))
 
 
@@ -199,54 +145,18 @@ def read_batches(path: Path, begin: int = 0) -> Iterator[FrameBatch]:
 
     Raises BadInput for one that holds no frames.
     """
-    for place, end, batch in _batches(path, begin):
+    for place, end, batch in whole_batches(path, begin):
         try:
             frames = frames_of(batch)
         except (pa.ArrowException, ValueError, TypeError, LookupError) as error:
             said = (str(error).splitlines() or [type(error).__name__])[0]
-            raise BadInput(str(path), f"byte {place}", said, "a batch of frames", _DAMAGED) from None
+            raise BadInput(str(path), f"byte {place}", said, "a batch of frames", DAMAGED) from None
         yield FrameBatch(place, end, frames)
 
 
 def finish_frames(path: Path) -> None:
     """Give a truncated file its footer; needs room for that only. Error: OSError."""
-    schema = _schema_of(path) or frames_schema(())
-    finish_file(path, schema, lambda: (batch for _, _, batch in _batches(path)))
-
-
-def _schema_of(path: Path) -> pa.Schema | None:
-    with pa.OSFile(str(path), "rb") as source:
-        try:
-            source.seek(len(MAGIC))
-            return pa.ipc.read_schema(source)
-        except (pa.ArrowException, OSError, EOFError):
-            return None
-
-
-def _batches(path: Path, begin: int = 0) -> Iterator[tuple[int, int, pa.RecordBatch]]:
-    """Yield each whole batch behind its first byte and the one behind its last."""
-    schema = None
-    with pa.OSFile(str(path), "rb") as source:
-        try:
-            source.seek(len(MAGIC))
-            schema = pa.ipc.read_schema(source)
-            if begin:
-                source.seek(begin)
-            while True:
-                place = source.tell()
-                message = pa.ipc.read_message(source)
-                if message.type != "record batch":
-                    return
-                length = length_of_batch(message)
-                if not 0 <= length <= FRAMES_MAX:
-                    raise BadInput(
-                        str(path), f"byte {place}", f"{length} frames", f"at most {FRAMES_MAX}", _DAMAGED
-                    )
-                batch = pa.ipc.read_record_batch(message, schema)
-                batch.validate(full=True)
-                yield place, source.tell(), batch
-        except (pa.ArrowException, OSError, EOFError):
-            return
+    finish(path, frames_schema(()))
 
 
 INDEX_DTYPE: Final = np.dtype(

@@ -191,7 +191,7 @@ class RecordingPlan:
     set_points: tuple[PlannedSetPoint, ...] = ()
     """Planned set-points of the axes; reported when they act."""
     faults: bool = False
-    """True if faults.jsonl is kept: the injected faults."""
+    """True if the injected faults are kept."""
     view: bool = False
     """True if a Rerun viewer shows the run live."""
     served: ServedPorts | None = None

@@ -8,9 +8,7 @@ Instants are in run time, ns since the first cycle; unknown values are null.
 """
 
 import json
-import os
-import struct
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
@@ -22,11 +20,10 @@ from numpy.typing import NDArray
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import Instant
 from servobench.hil.loop.cycle_record import COLUMNS, FATE_SAMPLE, NAMES, NOTHING, Column
+from servobench.hil.rows.arrow_file import MAGIC, finish_file, is_whole, length_of_batch, values_of
 from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.hil.rows.run_files import FORMAT
 
-MAGIC = b"ARROW1\0\0"
-_MAGIC_END = b"ARROW1"
 _OPTIONS = pa.ipc.IpcWriteOptions(compression=pa.Codec("zstd", 2))
 """Takes the time of level 1, and 5 to 9 % less room; level 5 takes twice the time for another 2 %."""
 
@@ -152,14 +149,20 @@ def read_metadata(path: Path) -> dict[str, str]:
         return {key.decode(): value.decode() for key, value in metadata.items()}
 
 
-def read_records(path: Path, first_cycle: int = 0) -> Iterator[Rows]:
+def read_records(path: Path, first_cycle: int = 0, columns: Sequence[str] = NAMES) -> Iterator[Rows]:
     """Yield the batches of a file in order, each (n,) of ROW_DTYPE. A truncated batch ends it.
 
-    ``first_cycle``: its instant on their scale; the metadata have it on the bench clock, too.
+    ``first_cycle``: its instant on their scale; the metadata have it on the bench clock, too. ``columns``:
+    those that the rows have, in this order; ``fate`` among them.
     """
-    for batch in _batches(path):
+    schema = None if columns is NAMES else _schema_of(path)
+    options = None
+    if schema is not None:
+        _check_schema(path, schema)
+        options = pa.ipc.IpcReadOptions(included_fields=[schema.get_field_index(name) for name in columns])
+    for batch in _batches(path, options):
         with damage_told(path):
-            rows = _rows_of(batch, first_cycle)
+            rows = _rows_of(batch, first_cycle, columns)
         yield rows
 
 
@@ -176,28 +179,8 @@ def finish_records(path: Path) -> int:
 
     Incomplete batches are dropped. It needs room for the footer only. Error: OSError.
     """
-    finish_file(path, _schema_of(path) or records_schema({}), lambda: _batches(path))
+    finish_file(path, _schema_of(path) or records_schema({}), lambda: _batches(path), _OPTIONS)
     return sum(batch.num_rows for batch in _batches(path))
-
-
-def finish_file(path: Path, schema: pa.Schema, batches: Callable[[], Iterable[pa.RecordBatch]]) -> None:
-    """Give a truncated Arrow file its footer; a whole one is left alone. ``batches``: its whole ones.
-
-    Error: OSError.
-    """
-    if is_whole(path):
-        return
-    sink = pa.BufferOutputStream()
-    with pa.ipc.new_file(sink, schema, options=_OPTIONS) as writer:
-        for batch in batches():
-            writer.write_batch(batch)
-        end = sink.tell()
-    whole = sink.getvalue().to_pybytes()
-    with path.open("r+b") as file:
-        kept = end if file.read(end) == whole[:end] else 0
-        file.seek(kept)
-        file.write(whole[kept:])
-        file.truncate()
 
 
 def _schema_of(path: Path) -> pa.Schema | None:
@@ -214,13 +197,6 @@ def refuse_without_end(path: Path) -> None:
     if not is_whole(path):
         remedy = f"once it has ended: hil recover {path.parent}"
         raise BadInput(str(path), "", "no end of the file", "the recording of a run that has ended", remedy)
-
-
-def is_whole(path: Path) -> bool:
-    """Return True if the file has its end."""
-    with path.open("rb") as file:
-        file.seek(max(0, file.seek(0, os.SEEK_END) - len(_MAGIC_END)))
-        return file.read() == _MAGIC_END
 
 
 def _stream(
@@ -265,33 +241,6 @@ def _next_length(messages: pa.ipc.MessageReader) -> int:
     return length_of_batch(message)
 
 
-def length_of_batch(message: pa.ipc.Message) -> int:
-    """Rows of a record batch, as its head tells them; -1 if that is damaged."""
-    return _length_of(message.metadata.to_pybytes())
-
-
-def _length_of(head: bytes) -> int:
-    """Of the Message of a RecordBatch (Arrow's Message.fbs): the first field of the table in its third."""
-
-    def field(table: int, number: int) -> int:
-        """Where it lies, 0 if it is left out, by the FlatBuffers encoding: a table begins with the distance
-        to its vtable, which has its own length, the table's, and the places of the fields."""
-        (back,) = struct.unpack_from("<i", head, table)
-        length, *_ = struct.unpack_from("<HH", head, table - back)
-        at = 4 + 2 * number
-        place = struct.unpack_from("<H", head, table - back + at)[0] if at < length else 0
-        return table + int(place) if place else 0
-
-    def followed(place: int) -> int:
-        return place + int(struct.unpack_from("<I", head, place)[0])
-
-    try:
-        rows = field(followed(field(followed(0), 2)), 0)
-        return int(struct.unpack_from("<q", head, rows)[0]) if rows else 0
-    except struct.error:
-        return -1
-
-
 def _check_schema(path: Path, schema: pa.Schema) -> None:
     """Raises BadInput for a column that is missing or of another type."""
     for column in COLUMNS:
@@ -306,6 +255,8 @@ def _check_schema(path: Path, schema: pa.Schema) -> None:
 def _check_values(path: Path, place: str, batch: pa.RecordBatch) -> None:
     """Raises BadInput for nulls where there can be none, and for codes that stand for nothing."""
     for name, count in _codes(batch.schema):
+        if name not in batch.schema.names:  # it was not asked for
+            continue
         values, where = batch.column(name), f"{place}, column {name}"
         if values.null_count and name in _NEVER_NULL:
             raise BadInput(str(path), where, f"{values.null_count} nulls", "a value in each row", _DAMAGED)
@@ -353,16 +304,16 @@ def _column(values: NDArray[Any], column: Column, zero: Instant) -> pa.Array:
     return pa.array(np.where(nothing, 0, moved), mask=nothing).cast(column.kind)
 
 
-def _rows_of(batch: pa.RecordBatch, first_cycle: int) -> Rows:
-    rows = np.empty(batch.num_rows, ROW_DTYPE)
-    for column in COLUMNS:
+def _rows_of(batch: pa.RecordBatch, first_cycle: int, columns: Sequence[str] = NAMES) -> Rows:
+    rows = np.empty(batch.num_rows, np.dtype([(name, ROW_DTYPE[name]) for name in columns]))
+    for column in (each for each in COLUMNS if each.name in columns):
         if column.name not in batch.schema.names:  # of a later format than the file
             rows[column.name] = np.nan if column.is_real else NOTHING
             continue
         stored = batch.column(column.name)
         if not column.is_real:
-            stored = stored.cast("int64").fill_null(NOTHING)
-        values = stored.to_numpy(zero_copy_only=False)
+            stored = stored.cast("int64")
+        values = values_of(stored.fill_null(np.nan if column.is_real else NOTHING))
         if column.is_instant and first_cycle:
             values = np.where(values == NOTHING, NOTHING, values + first_cycle)
         if column.none != NOTHING:  # what a reading lacks is written otherwise than a reading that lacks

@@ -5,9 +5,9 @@ from typing import Final
 
 from servobench.drivers.errors import MISSING, BadInput
 
-FORMAT: Final = "5"
+FORMAT: Final = "6"
 """Version of the run's folder in docs/recording.md; increases when a reader must know. Up to 3 a recording
-has no seal, up to 4 its frames are text."""
+has no seal, up to 4 its frames are text, up to 5 its injected faults."""
 UNSEALED_FORMAT_MAX: Final = 3
 
 FIRST_CYCLE = "first_cycle_bench_ns"
@@ -29,6 +29,10 @@ DIRECTION_BYTES = 2
 """Bytes of such a line."""
 INDEX_FILE = "frames.index"
 """Index of the frames on which others depend; see :mod:`servobench.hil.rows.frames_file`."""
+FAULTS_FILE = "faults.arrow"
+"""What was injected, by column; see :mod:`servobench.hil.rows.faults_file`."""
+FAULTS_LOG = "faults.jsonl"
+"""The same up to format 5, a line each."""
 EVENTS_FILE = "events.jsonl"
 RECORDS_FILE = "records.arrow"
 """The rows of the cycles."""

@@ -27,6 +27,7 @@ from servobench.hil.rows.run_files import (
     BENCH_FILE,
     DIRECTIONS_FILE,
     EVENTS_FILE,
+    FAULTS_FILE,
     FORMAT,
     FRAMES_FILE,
     FRAMES_LOG,
@@ -39,7 +40,6 @@ from servobench.hil.rows.run_files import (
     UNSEALED_FORMAT_MAX,
     not_a_recording,
 )
-from servobench.virtual_bus.faults.fault_log import FAULTS_FILE
 
 FIRST_CHAIN: Final = "servobench"
 """In place of a chain before the first line."""

@@ -14,13 +14,14 @@ def export(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="The folder of the run.")],
     to: Annotated[ExportFormat, typer.Option("--to", help="Format.")],
     out: Annotated[
-        Path | None, valued("--out", "FILE", "Output file; default: in RUN, records. or frames.FORMAT.")
+        Path | None,
+        valued("--out", "FILE", "Output file; default: in RUN, records., frames. or faults.FORMAT."),
     ] = None,
     unsealed: UnsealedOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Write every cycle of a recording as CSV, Parquet, MDF 4 or MAT, with units and codes, or every frame as
-    candump's log, Vector's asc or blf, or pcap.
+    """Write every cycle of a recording as CSV, Parquet, MDF 4 or MAT, with units and codes, every frame as
+    candump's log, Vector's asc or blf, or pcap, or every injected fault as a line of JSON.
 
     Exit status: 0 written; 2 no recording, an unfinished one, or a file that cannot be written; 5 the disk is
     full.

@@ -51,7 +51,7 @@ def picture(
                 raise BadInput(option, "", value, "no --paper beside it")
         from servobench.hil.recorded.paper import paper_figure, save_figure
         from servobench.hil.recorded.recorded_run import open_run, signals_of
-        from servobench.hil.rows.records_file import is_whole
+        from servobench.hil.rows.arrow_file import is_whole
         from servobench.hil.rows.run_files import RECORDS_FILE
 
         opened = open_run(run, unsealed=unsealed)

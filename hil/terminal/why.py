@@ -53,17 +53,19 @@ def why(
     Examples:
       hil why runs/monday
     """
-    from servobench.hil.recorded.explanation import Bursts, explain
-    from servobench.hil.recorded.judgement import judge_run
+    from servobench.hil.recorded.explanation import explain
     from servobench.hil.recorded.recorded_run import open_run
     from servobench.hil.verdict.verdict import verdict_title
 
-    opened = open_run(run, unsealed=unsealed)
+    opened = open_run(run, unsealed=unsealed, windows=True)
     note_seal(run, opened.seal)
-    bursts = Bursts(opened.axes, opened.first_cycle)
-    judged = judge_run(opened, against, beside=bursts.add)
-    told = explain(judged, bursts)
-    verdict = judged.summary.verdict
+    summary = opened.summary
+    if against is not None:
+        from servobench.hil.recorded.judgement import judge_run  # which reads all that there is of each cycle
+
+        summary = judge_run(opened, against).summary
+    told = explain(opened, summary)
+    verdict = summary.verdict
     figures: dict[str, Any] = {
         "verdict": verdict.outcome,
         "exit_status": verdict.exit_status,

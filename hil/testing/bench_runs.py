@@ -72,7 +72,7 @@ class BenchRunner:
 
         ``bench``: the path of a bench file, or its tables. ``changes``: values for dotted keys of it, e.g.
         ``{"loop.deadline_us": 1500}``; missing keys are added. ``faults``: a plan in place of the bench's, as
-        the path of a plan or of a recorded faults.jsonl, or as tables; ``{}``: none. ``motor``: for every
+        the path of a plan or of a recorded faults.arrow, or as tables; ``{}``: none. ``motor``: for every
         drive. ``time``: "real" paces a simulated bus. ``controllers``: by axis, an object of the test in
         place of the controller that the bench describes.
 

@@ -12,8 +12,15 @@ import numpy as np
 from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.hil.configuration.bench_file import load_bench
 from servobench.hil.execution.recovered_run import recover_run, refuse_whole
-from servobench.hil.recording.log_files import EventsKeeper, FramesKeeper, LoadKeeper, RecordsKeeper
+from servobench.hil.recording.log_files import (
+    EventsKeeper,
+    FaultsKeeper,
+    FramesKeeper,
+    LoadKeeper,
+    RecordsKeeper,
+)
 from servobench.hil.recording.logger_process import RecordingFailed
+from servobench.hil.rows.events import ENTRY_DTYPE, FaultEntries
 from servobench.hil.rows.side_rows import (
     FRAME,
     FRAME_DTYPE,
@@ -26,6 +33,7 @@ from servobench.hil.rows.side_rows import (
 )
 from servobench.hil.verdict.summary import summary_without_run
 from servobench.hil.verdict.verdict import VerdictKind
+from servobench.virtual_bus.faults.fault_log import read_line
 from tests.mutants.kinds import BENCH, RECORDED
 from tests.mutants.mutant import Kind
 from tests.unit.hil.recording_tools import plan_for
@@ -56,7 +64,11 @@ def write_unfinished(folder: Path) -> None:
     records.take(rows[CYCLES // 2 :], frames[:0], [])
     for keeper in (EventsKeeper(plan, folder), FramesKeeper(plan, folder), LoadKeeper(plan, folder)):
         keeper.take(rows, frames, EVENTS)
-    (folder / "faults.jsonl").write_text(RECORDED)
+    injected = FaultsKeeper(folder, faults := FaultEntries(plan.started_at))
+    faults.fresh = np.array(
+        [read_line(line, "faults", n) for n, line in enumerate(RECORDED.splitlines(), start=1)], ENTRY_DTYPE
+    )
+    injected.take(rows, frames, EVENTS)
     whole = summary_without_run(VerdictKind.CUT_SHORT, "made up").as_json()
     (folder / "summary.json").write_text(json.dumps(whole))
 

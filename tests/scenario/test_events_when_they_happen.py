@@ -18,7 +18,7 @@ from servobench.hil.rows.run_files import EVENTS_FILE
 from servobench.hil.rows.side_rows import StateEvent, TextEvent
 from servobench.hil.testing.bench_runs import BenchRunner
 from servobench.hil.testing.run import Run
-from tests.recorded_frames import candump_text
+from tests.recorded_frames import candump_text, injected
 from tests.scenario.processes import EXAMPLES
 
 LING2012 = EXAMPLES / "ling2012.toml"
@@ -132,7 +132,7 @@ def test_a_limit_that_was_crossed_is_told_before_the_stopping(servo_bench: Bench
 def test_faults_of_frames_have_their_first_and_last_frame(servo_bench: BenchRunner) -> None:
     blackout = {"blackout": [{"from_s": 0.5, "duration_s": 0.01, "count": 1, "frames": ["all"]}]}
     run = servo_bench(LING2012, faults=blackout)
-    lines = [json.loads(line) for line in (run.folder / "faults.jsonl").read_text().splitlines()]
+    lines = injected(run.folder)
     for way in ("host_to_drive", "drive_to_host"):
         struck = [entry["at_ns"] for entry in lines if entry["direction"] == way]
         found = texts(run, f"blackout {way.replace('_', ' ')}")
@@ -146,7 +146,7 @@ def test_every_file_counts_from_the_first_cycle(servo_bench: BenchRunner) -> Non
     assert int(run.rows["due_at"][0]) == 0
     assert abs(min(syncs, key=abs)) < NS_PER_MS
     assert [event["at_ns"] for event in run.events if event.get("begin")] == [0]
-    lost = [json.loads(line) for line in (run.folder / "faults.jsonl").read_text().splitlines()]
+    lost = injected(run.folder)
     readings = [entry for entry in lost if entry["can_id"] == 0x181]
     dropped = run.rows[run.rows["fate"] == 1]["due_at"]
     assert readings, "some were lost"

@@ -15,7 +15,7 @@ from servobench.hil.execution.bench import run_bench
 from servobench.hil.pytest_plugin import StartDrive
 from servobench.hil.testing.bench_runs import BenchRunner
 from servobench.hil.testing.run import Run
-from tests.recorded_frames import candump_text
+from tests.recorded_frames import candump_text, injected
 from tests.scenario.processes import EXAMPLES
 
 BENCH = EXAMPLES / "ling2012.toml"
@@ -57,8 +57,7 @@ INJECTED = {
 
 
 def entries(folder: Path, *without: str) -> list[dict[str, Any]]:
-    found = [json.loads(line) for line in (folder / "faults.jsonl").read_text().splitlines()]
-    return [{key: value for key, value in entry.items() if key not in without} for entry in found]
+    return [{key: value for key, value in entry.items() if key not in without} for entry in injected(folder)]
 
 
 def test_every_example_is_looked_at_here() -> None:
@@ -70,7 +69,7 @@ def test_each_example_runs_and_replays_to_the_same_digest(name: str, servo_bench
     run = _attempt(name, servo_bench, EXAMPLES / "faults" / f"{name}.toml")
     kinds = {entry["kind"] for entry in entries(run.folder)}
     assert INJECTED[name] <= kinds
-    again = _attempt(name, servo_bench, run.folder / "faults.jsonl")
+    again = _attempt(name, servo_bench, run.folder / "faults.arrow")
     assert again.digest == run.digest
     assert entries(again.folder) == entries(run.folder)
 
@@ -135,17 +134,17 @@ def test_a_replay_with_another_seed_still_injects_the_same(servo_bench: BenchRun
     short = {"bench.duration_s": 0.8, "load.axis1.0.at_s": 0.5}
     plan = tomllib.loads(EVERYTHING)
     first = servo_bench(BENCH, short, faults=plan)
-    recorded = first.folder / "faults.jsonl"
+    recorded = first.folder / "faults.arrow"
     again = servo_bench(BENCH, short, faults=recorded)
     other = servo_bench(BENCH, short, faults=recorded, seed=99)
     drawn = servo_bench(BENCH, short, faults=plan, seed=99)
     assert again.digest == first.digest
     assert {other.summary.seed, drawn.summary.seed} == {99}
 
-    def injected(run: Run) -> list[str]:
+    def told(run: Run) -> list[str]:
         return sorted(map(str, entries(run.folder, "at_ns")))
 
-    assert injected(other) == injected(first) != injected(drawn)
+    assert told(other) == told(first) != told(drawn)
     assert {entry["kind"] for entry in entries(first.folder)} == {
         *("loss", "delay", "reorder", "duplicate", "corruption", "silence", "clock_step", "boot", "late")
     }
@@ -159,13 +158,17 @@ def test_the_command_line_replays_and_the_folder_of_a_run_runs_again(tmp_path: P
             "duration_s = 2.0", "duration_s = 1.2"
         )
     )
-    record = [str(tmp_path / name) for name in "abc"]
+    record = [str(tmp_path / name) for name in "abcd"]
     digests = []
     for arguments in (
         [str(path), "--record", record[0]],
         [str(path), "--record", record[1], "--replay-faults", f"{record[0]}/faults.jsonl"],
         [f"{record[1]}/bench.toml", "--record", record[2]],
+        [str(path), "--record", record[3], "--replay-faults", f"{record[0]}/faults.arrow"],
     ):
+        if record[1] in arguments:
+            written = CliRunner().invoke(app, ["export", record[0], "--to", "jsonl", "--json"])
+            assert json.loads(written.stdout)["rows"] == len(injected(Path(record[0]))) > 100
         done = CliRunner().invoke(app, ["run", *arguments, "--json"])
         digests.append(json.loads(done.stdout)["digest"])
     assert len(set(digests)) == 1

@@ -15,9 +15,11 @@ from servobench.hil.configuration.bench_file import load_bench
 from servobench.hil.execution import bench as bench_module
 from servobench.hil.execution.bench import run_bench
 from servobench.hil.execution.drive_session import DriveSession
-from servobench.hil.recording.append_file import TAIL_FILE, read_tail
+from servobench.hil.recording.append_file import FAULTS_TAIL_FILE, TAIL_FILE, read_tail
 from servobench.hil.recording.logger_process import RecordingFailed
 from servobench.hil.recording.recorder import Recorder, start_recording
+from servobench.hil.rows.events import ENTRY_DTYPE
+from servobench.hil.rows.faults_file import read_faults
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records import ROW_DTYPE
 from servobench.hil.verdict.summary import Summary
@@ -84,8 +86,9 @@ def test_a_disk_that_fills_up_leaves_a_verdict_and_whole_files(tmp_path: Path, o
         whole = pa.ipc.open_file(source).read_all().num_rows
     # what found no room in there lies in records.tail, and the summary says so
     assert 0 < whole + read_tail(folder / TAIL_FILE, ROW_DTYPE, whole).size <= summary["cycles"]
-    for name in ("events.jsonl", "faults.jsonl"):
-        assert (folder / name).read_bytes()[-1:] in (b"", b"\n"), name
+    assert (folder / "events.jsonl").read_bytes()[-1:] in (b"", b"\n")
+    injected = len(read_faults(folder / "faults.arrow").entries)
+    assert injected + read_tail(folder / FAULTS_TAIL_FILE, ENTRY_DTYPE, injected).size > 0
     assert (folder / "network.toml").stat().st_size > 0
     drive = drive_states(folder)
     assert drive[-1] == "switch on disabled"

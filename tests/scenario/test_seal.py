@@ -67,7 +67,7 @@ def names(run: Path) -> list[str]:
 def test_each_byte_of_each_file_counts(run: Path, tmp_path: Path) -> None:
     copy, draw = copied(run, tmp_path), random.Random(36)
     recorded = {"records.arrow", "events.jsonl", "frames.arrow", "frames.index", "run.rrd", "summary.json"}
-    recorded |= {"bench.toml", "faults.jsonl", "frames.index", "network.toml", "seal"}
+    recorded |= {"bench.toml", "faults.arrow", "frames.index", "network.toml", "seal"}
     assert recorded == set(names(run))
     for name in names(run):
         whole = (copy / name).read_bytes()

@@ -17,6 +17,7 @@ from servobench.hil.configuration.bench_file import load_bench
 from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.recording.run_metadata import read_summary
 from servobench.hil.testing.run import Run
+from tests.recorded_frames import injected
 from tests.scenario.test_lost_samples_certified import bench
 
 READING, COMMAND = 0x181, 0x201
@@ -49,8 +50,7 @@ def longest(lost: list[bool]) -> int:
 
 
 def lost_cycles(folder: Path, can_id: int) -> list[bool]:
-    lines = map(json.loads, (folder / "faults.jsonl").read_text().splitlines())
-    cycles = {line["at_ns"] // PERIOD_NS for line in lines if line["can_id"] == can_id}
+    cycles = {line["at_ns"] // PERIOD_NS for line in injected(folder) if line["can_id"] == can_id}
     return [cycle in cycles for cycle in range(CYCLES)]
 
 

@@ -42,9 +42,6 @@ from servobench.virtual_bus.core import native
 from servobench.virtual_bus.faults.fault_table import NONE, LogNumber
 from servobench.virtual_bus.faults.register import LOG_KINDS
 
-FAULTS_FILE = "faults.jsonl"
-"""Its name in the folder of a run."""
-
 KINDS = tuple(kind.name for kind in LOG_KINDS)
 KIND_CODES = {kind: code for code, kind in enumerate(KINDS)}
 FRAME_KINDS, NODE_KINDS, HOST_KINDS = (

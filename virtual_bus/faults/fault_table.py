@@ -26,7 +26,7 @@ after the frame's own turn."""
 
 @dataclass(frozen=True, slots=True)
 class LogNumber:
-    """One number of an entry, as it stands in a line of faults.jsonl."""
+    """One number of an entry, as it stands in the log."""
 
     name: str
     least: int = 0

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from servobench.drivers.timebase import NS_PER_MS
 from servobench.drivers.wire.frame_port import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_ID_MAX, REMOTE_FLAG
+from servobench.hil.rows.arrow_file import is_whole
 from servobench.hil.rows.frames_file import (
     BATCH,
     INDEX_DTYPE,
@@ -22,7 +23,6 @@ from servobench.hil.rows.frames_file import (
     read_index,
     read_interfaces,
 )
-from servobench.hil.rows.records_file import is_whole
 from servobench.hil.rows.run_files import FRAMES_FILE
 
 CLASSICAL_BYTES_MAX: Final = 8

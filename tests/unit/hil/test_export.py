@@ -192,7 +192,7 @@ def test_what_cannot_be_exported_is_refused(run: Path, tmp_path: Path) -> None:
     later = table_of_bytes(whole).replace_schema_metadata({"format": "99"})
     with pa.ipc.new_file(run / RECORDS_FILE, later.schema) as sink:
         sink.write_table(later)
-    assert "a recording of format 5 or earlier" in refused()
+    assert "a recording of format 6 or earlier" in refused()
     (run / RECORDS_FILE).write_bytes(whole)
     assert "a place to write to" in refused("--out", str(tmp_path / "none" / "a.csv"))
     (run / RECORDS_FILE).unlink()

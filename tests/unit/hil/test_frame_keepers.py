@@ -26,11 +26,11 @@ from servobench.hil.rows.side_rows import (
     frame_row,
 )
 from servobench.virtual_bus.faults.fault_log import BLOCK_BYTES, KIND_CODES, FaultLog
-from tests.recorded_frames import candump_text, directions
+from tests.recorded_frames import candump_text, directions, injected
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 from tests.unit.hil.test_log_files import summary_of
-from tests.unit.hil.test_recording_keepers import BEGIN, NO_FRAMES, NO_ROWS, STARTED, lines, plan, tell
+from tests.unit.hil.test_recording_keepers import BEGIN, NO_FRAMES, NO_ROWS, STARTED, plan, tell
 
 __all__ = ["plan"]
 
@@ -117,7 +117,7 @@ def test_a_frame_that_came_after_its_time_was_written_is_told(plan: RecordingPla
     assert not (tmp_path / FRAMES_TAIL_FILE).exists()
 
 
-# ---- network.toml, faults.jsonl -----------------------------------------------------------------------
+# ---- network.toml, faults.arrow -----------------------------------------------------------------------
 
 
 def test_the_network_of_all_rows_is_written_at_the_end(tmp_path: Path) -> None:
@@ -160,18 +160,17 @@ def test_faults_wait_for_the_first_cycle_and_are_told_once(tmp_path: Path) -> No
     loss, boot = KIND_CODES["loss"], KIND_CODES["boot"]
     assert entries.take(blocks((boot, 500, 3, 0x703, 0), (loss, 900, 0, 0x181, 4)), zero) == []
     tell(keeper)
-    assert lines(tmp_path / "faults.jsonl") == []
+    assert injected(tmp_path) == []
     zero.look([BeginEvent(BEGIN)])
     told = entries.take(np.empty(0, BLOCK_DTYPE), zero)
     assert [entry.at_ns for entry in told] == [500 + STARTED - BEGIN, 900], (
         "a slow drive counts from power-on"
     )
     tell(keeper)
-    assert entries.take(blocks((loss, 950, 0, 0x181, 5)), zero) == entries.fresh
+    entries.take(blocks((loss, 950, 0, 0x181, 5)), zero)
     tell(keeper)
     keeper.finish(summary_of())
-    found = lines(tmp_path / "faults.jsonl")
-    assert [(entry["kind"], entry["at_ns"]) for entry in found] == [  # type: ignore[index]
+    assert [(entry["kind"], entry["at_ns"]) for entry in injected(tmp_path)] == [
         ("boot", 500 + STARTED - BEGIN),
         ("loss", 900),
         ("loss", 950),

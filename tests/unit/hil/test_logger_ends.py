@@ -17,6 +17,7 @@ from servobench.hil.recording.log_files import LIVE_VIEW, Keeper
 from servobench.hil.recording.logger import main
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.verdict.verdict import VerdictKind
+from tests.recorded_frames import injected
 from tests.unit.hil.logger_fakes import (
     LOSS,
     NOTHING_KEPT,
@@ -88,10 +89,10 @@ def test_injected_faults_are_kept_where_the_plan_wants_them(
 ) -> None:
     put_faults(rings, LOSS)
     log(rings, Input(clock, [OUTCOME]), replace(plan_for(tmp_path), faults=wanted))
-    files = {"seal", "summary.json"} | ({"faults.jsonl"} if wanted else set())
+    files = {"seal", "summary.json"} | ({"faults.arrow"} if wanted else set())
     assert {path.name for path in tmp_path.iterdir()} == files, "the room for the end is given back"
     if wanted:
-        entry = json.loads((tmp_path / "faults.jsonl").read_text())
+        (entry,) = injected(tmp_path)
         assert (entry["kind"], entry["at_ns"]) == ("loss", 4 * NS_PER_MS)
     del keepers
 

@@ -23,7 +23,7 @@ from servobench.hil.recorded import (
     viewer,
 )
 from servobench.hil.recording import page_keepers
-from servobench.hil.rows import records_file
+from servobench.hil.rows import arrow_file
 from servobench.hil.terminal import view as view_command
 from servobench.hil.verdict import summary_text
 
@@ -57,7 +57,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     monkeypatch.setattr(viewer, "draw_page", page)
     opened = SimpleNamespace(run=Path("one"), seal="sealed", folder=Path("one"))
     monkeypatch.setattr(recorded_run, "open_run", lambda _run, **_: opened)
-    monkeypatch.setattr(records_file, "is_whole", lambda _path: True)
+    monkeypatch.setattr(arrow_file, "is_whole", lambda _path: True)
     monkeypatch.setattr(recorded_run, "signals_of", lambda run, *window: (f"signals of {run.run}", *window))
     monkeypatch.setattr(paper, "paper_figure", figure)
     monkeypatch.setattr(paper, "save_figure", lambda figure, out: out.write_text(figure))

@@ -22,10 +22,11 @@ from servobench.hil.recording.log_files import (
 from servobench.hil.recording.logger import open_keepers
 from servobench.hil.recording.page_keepers import LiveKeeper, RerunKeeper
 from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.arrow_file import is_whole
 from servobench.hil.rows.events import RunZero
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records import ROW_DTYPE, Rows
-from servobench.hil.rows.records_file import is_whole, read_metadata, read_records
+from servobench.hil.rows.records_file import read_metadata, read_records
 from servobench.hil.rows.side_rows import (
     FRAME_DTYPE,
     BeginEvent,

@@ -10,13 +10,13 @@ import pytest
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.hil.loop.cycle_record import COLUMNS, NAMES, NOTHING
+from servobench.hil.rows.arrow_file import is_whole
 from servobench.hil.rows.events import RunZero
 from servobench.hil.rows.records import Rows
 from servobench.hil.rows.records_file import (
     RecordsWriter,
     column_of,
     finish_records,
-    is_whole,
     read_metadata,
     read_records,
     read_table,
@@ -94,7 +94,7 @@ def test_units_and_codes_are_with_the_columns(tmp_path: Path, rows: Rows) -> Non
     assert schema.field("velocity_rad_s").metadata[b"unit"] == b"rad/s"
     assert schema.field("due_at").metadata[b"unit"] == b"ns since the first cycle"
     assert all(field.metadata[b"meaning"] for field in schema)
-    assert read_metadata(path) == {"format": "5", "bench": "synthetic"}
+    assert read_metadata(path) == {"format": "6", "bench": "synthetic"}
 
 
 @pytest.mark.parametrize("whole_blocks", [0, 1, 2, 3])
@@ -109,7 +109,7 @@ def test_one_that_was_cut_off_is_finished(tmp_path: Path, rows: Rows, whole_bloc
     assert finish_records(path) == 100 * whole_blocks
     assert pa.ipc.open_file(path).read_all().num_rows == 100 * whole_blocks
     assert b"".join(batch.tobytes() for batch in read_records(path, ZERO)) == expected
-    assert read_metadata(path) == {"format": "5", "bench": "synthetic"}
+    assert read_metadata(path) == {"format": "6", "bench": "synthetic"}
     assert [found.name for found in tmp_path.iterdir()] == ["records.arrow"]
 
 
@@ -198,8 +198,8 @@ def test_a_field_tells_all_of_its_column() -> None:
         (None, False),
         ("1", False),
         ("2", False),
-        ("5", False),
-        ("6", True),
+        ("6", False),
+        ("7", True),
         ("", True),
         ("2.0", True),
         ("²", True),
@@ -213,7 +213,7 @@ def test_a_later_format_is_refused_by_those_who_read_earlier_ones(told: str | No
     with pytest.raises(BadInput) as caught:
         refuse_later_format(metadata, Path("run"))
     assert str(caught.value) == (
-        f"run: format: found {told!r}, expected a recording of format 5 or earlier; "
+        f"run: format: found {told!r}, expected a recording of format 6 or earlier; "
         "read it with the servobench that wrote it, or later"
     )
 

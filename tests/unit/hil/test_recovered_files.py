@@ -17,15 +17,16 @@ from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.hil.configuration.network_file import load_network
 from servobench.hil.recording import rerun_anew
 from servobench.hil.recording.append_file import TAIL_FILE
-from servobench.hil.recording.log_files import EventsKeeper, FramesKeeper, RecordsKeeper
+from servobench.hil.recording.log_files import EventsKeeper, FaultsKeeper, FramesKeeper, RecordsKeeper
 from servobench.hil.recording.recovery import Rings, first_cycle, recover, whole_records
 from servobench.hil.recording.ring import RingReader, RingWriter
 from servobench.hil.recording.run_metadata import Reserve, read_summary
 from servobench.hil.recording.sealer import Sealer
-from servobench.hil.rows.events import BLOCK_DTYPE
+from servobench.hil.rows.arrow_file import is_whole
+from servobench.hil.rows.events import BLOCK_DTYPE, FaultEntries, RunZero
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records import ROW_DTYPE, Rows
-from servobench.hil.rows.records_file import is_whole, read_metadata, read_records
+from servobench.hil.rows.records_file import read_metadata, read_records
 from servobench.hil.rows.side_rows import (
     EVENT_DTYPE,
     BeginEvent,
@@ -37,12 +38,13 @@ from servobench.hil.rows.side_rows import (
     event_row,
 )
 from servobench.virtual_bus.faults.fault_log import KIND_CODES
+from tests.recorded_frames import injected
 from tests.rrd_columns import columns, numbers
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 from tests.unit.hil.test_frame_keepers import blocks, frames_at, written
-from tests.unit.hil.test_recording_keepers import NO_FRAMES, NO_ROWS, lines
+from tests.unit.hil.test_recording_keepers import NO_FRAMES, NO_ROWS, lines, tell
 
 STARTED: Final = Instant(NS_PER_MS)
 BEGIN: Final = Instant(3 * NS_PER_MS)
@@ -292,15 +294,15 @@ def test_faults_that_were_injected_are_kept_where_the_plan_wants_them(
     plan: RecordingPlan, tmp_path: Path, rows: Rows, kept: bool
 ) -> None:
     begun(plan, rows, COUNT)
-    (tmp_path / "faults.jsonl").write_text('{"kind":"loss"}\n{"kin')
+    keeper = FaultsKeeper(tmp_path, before := FaultEntries(STARTED))
+    before.take(blocks((KIND_CODES["loss"], 900, 0, 0x181, 4)), RunZero(STARTED), at_end=True)
+    tell(keeper)
     more = blocks((KIND_CODES["boot"], 500, 3, 0x703, 0))
     summary = recover(replace(plan, faults=kept), whole_outcome(COUNT), [], rings(faults=more, refused=3))
     assert summary.recording_faults == ("3 rows lost after the logger had ended",)
-    entries = lines(tmp_path / "faults.jsonl")
-    assert entries[0] == {"kind": "loss"}
-    assert [cast(dict[str, object], entry)["at_ns"] for entry in entries[1:]] == (
-        [500 + STARTED - BEGIN] if kept else []
-    )
+    told = [entry["at_ns"] for entry in injected(tmp_path)]
+    assert told == ([900, 500 + STARTED - BEGIN] if kept else []), "the first from faults.tail"
+    assert (tmp_path / "faults.tail").exists() is not kept
 
 
 def test_a_disk_without_room_keeps_the_run_rrd_that_is_there(

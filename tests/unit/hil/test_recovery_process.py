@@ -13,17 +13,17 @@ from typing import Final
 import pytest
 
 from servobench.drivers.timebase import NS_PER_MS, Instant
-from servobench.hil.recording import rerun_anew
+from servobench.hil.recording import recovery, rerun_anew
 from servobench.hil.recording.append_file import TAIL_FILE
-from servobench.hil.recording.log_files import FaultsKeeper
 from servobench.hil.recording.recovery import Rings, main, recover, whole_records
 from servobench.hil.recording.ring import RingReader
 from servobench.hil.recording.run_metadata import read_summary
 from servobench.hil.recording.telemetry import Telemetry
+from servobench.hil.rows.arrow_file import is_whole
 from servobench.hil.rows.events import BLOCK_DTYPE
 from servobench.hil.rows.recording_plan import ObservedDrive, RecordingPlan
 from servobench.hil.rows.records import ROW_DTYPE, Rows
-from servobench.hil.rows.records_file import RecordsWriter, is_whole
+from servobench.hil.rows.records_file import RecordsWriter
 from servobench.hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, BeginEvent, TextEvent, frame_row
 from tests.rrd_columns import columns
 from tests.unit.hil import test_drawn_rows as drawn
@@ -118,10 +118,10 @@ def test_faults_that_cannot_be_written_are_told(
     plan: RecordingPlan, tmp_path: Path, rows: Rows, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begun(plan, rows, COUNT)
-    monkeypatch.setattr(FaultsKeeper, "take", full)
+    monkeypatch.setattr(recovery, "append_faults", full)
     kept = replace(plan, faults=True)
     told = recover(kept, whole_outcome(COUNT), ["why"], left(refused=1)).recording_faults
-    words = "faults.jsonl ends before the run: No space left on device"
+    words = "faults.arrow ends before the run: No space left on device"
     assert told == ("why", "1 rows lost after the logger had ended", words)
     assert recover(plan, whole_outcome(COUNT), [], left()).recording_faults == (), "none are wanted"
     del tmp_path

@@ -166,7 +166,7 @@ def test_damaged_files_are_told_and_stop_nothing(lab: Path) -> None:
 
 
 def test_a_later_format_is_told_by_its_number_and_an_earlier_one_is_read(lab: Path) -> None:
-    for name, number in (("c", "1"), ("b", "6")):
+    for name, number in (("c", "1"), ("b", "7")):
         path = lab / name / RECORDS_FILE
         table = pa.ipc.open_file(path).read_all()
         changed = table.replace_schema_metadata({**table.schema.metadata, b"format": number.encode()})
@@ -179,7 +179,7 @@ def test_a_later_format_is_told_by_its_number_and_an_earlier_one_is_read(lab: Pa
     found = listed(str(lab))
     assert [run["state"] for run in found] == ["whole", "whole", "later format"]
     assert found[0]["seal"] == "unsealed: recorded by an older version"
-    assert found[2]["note"] == "format 6: expected a recording of format 5 or earlier"
+    assert found[2]["note"] == "format 7: expected a recording of format 6 or earlier"
 
 
 def test_a_run_in_simulated_time_has_the_time_of_its_bench_file(lab: Path) -> None:

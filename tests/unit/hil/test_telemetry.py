@@ -389,4 +389,4 @@ def test_what_the_run_was_is_a_property_of_the_recording(tmp_path: Path) -> None
     }
     assert found["drives"] == '{"axis1": "a drive of the lab"}'
     assert found["seed"] == "2012"
-    assert found["format"] == "5"
+    assert found["format"] == "6"

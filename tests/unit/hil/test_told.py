@@ -233,6 +233,7 @@ def ran() -> str:
         events = Path(name, "events.jsonl").read_text(encoding="utf-8").splitlines()
         told += "\n".join(sorted(events, key=lambda line: (json.loads(line)["at_ns"], line))) + "\n"
         told += files(f"{name}/summary.json")
+    run("export two_segments --to jsonl")
     injected = Path("two_segments/faults.jsonl").read_text(encoding="utf-8").splitlines()
     return told + "\n".join(injected[::8]) + "\n" + page_text(Path("three_axes", "run.rrd"))
 
