@@ -12,11 +12,11 @@ from servobench.drivers.errors import BadInput, BenchError, BusDown, NoAnswer, P
 from servobench.drivers.timebase import Clock, Duration, Instant, MonotonicClock, wall_clock_offset
 from servobench.drivers.wire.adapters import BusSpec, open_bus, shared_bus
 from servobench.drivers.wire.attached import advice_on
+from servobench.drivers.wire.frame_port import FrameTap
 from servobench.drivers.wire.link import BusLink, StampSource, Tap
 from servobench.hil.configuration.config import BackgroundTables, BenchConfig, BusSegment
 from servobench.virtual_bus.bus.disturbance import BusError
 from servobench.virtual_bus.bus.error_message import error_frame_of
-from servobench.virtual_bus.bus.frame_image import INTERMISSION_BITS, bits_duration, frame_bits
 from servobench.virtual_bus.bus.segment import CanSegment
 from servobench.virtual_bus.bus.simulated_bus import SimulatedBus
 from servobench.virtual_bus.core.native import BusLoad
@@ -26,7 +26,6 @@ from servobench.virtual_bus.faults.fault_log import FaultLog
 from servobench.virtual_bus.faults.faulty_bus import FaultyBus
 from servobench.virtual_bus.faults.frame_fault import Side
 from servobench.virtual_bus.faults.outage_bus import OutageBus
-from servobench.virtual_bus.frame import Frame
 from servobench.virtual_bus.hosting.devices import AttachedDevice
 from servobench.virtual_bus.hosting.faulty_device import FaultyDevice
 from servobench.virtual_bus.hosting.injection import Faults, Injection, refuse_misplaced
@@ -326,14 +325,16 @@ def _real_world(plan: WorldPlan) -> World:
         faulty = FaultyBus(opened.bus, injection.fates, clock, plan.side, opened.stamps)
     reached = _through_outages(faulty or opened.bus, injection, clock, opened.stamps)
     link = BusLink(reached, clock, opened.stamps, str(plan.spec))
-    meter = LoadMeter(plan.bitrate_bit_s)
-    link.tap(meter.count)
+    seen = FrameTap()
+    # what this adapter does not see, error frames among it, is missing from the load
+    seen.native = load = BusLoad(plan.bitrate_bit_s)
+    link.tap(seen)
     return World(
         link,
         clock,
         True,
         WorldFaults([] if injection is None else [(injection, faulty)]),
-        meter.load_percent,
+        load.percent,
         wall_offset,
         lambda: link.error_frames,
         lambda _tap: None,
@@ -349,27 +350,3 @@ def _through_outages(
     if injection is None or injection.outages is None:
         return bus
     return OutageBus(bus, injection.outages, clock, stamps)
-
-
-class LoadMeter:
-    """Bus load from the frames that a link sends and receives.
-
-    Frames that this adapter does not see, error frames among them, are missing from it.
-    """
-
-    def __init__(self, bitrate_bit_s: int) -> None:
-        self._bitrate_bit_s = bitrate_bit_s
-        self._load = BusLoad()
-        self._end = Instant(0)
-
-    def count(
-        self, _direction: str, can_id: int, data: bytes, extended: bool, remote: bool, at: Instant
-    ) -> None:
-        """Take one frame in; fits ``BusLink.tap``."""
-        bits = frame_bits(Frame(can_id, data, extended, remote)) + INTERMISSION_BITS
-        self._end = max(self._end, at)
-        self._load.add(bits_duration(bits, self._bitrate_bit_s), self._end)
-
-    def load_percent(self, since: Instant, until: Instant) -> float:
-        """Share of [since, until] that the frames took at the bus's bit rate, percent."""
-        return self._load.percent(since, until)

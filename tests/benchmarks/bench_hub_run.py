@@ -2,7 +2,7 @@
 
 A cycle of 1 kHz of each, in turns, on the drives of one ``hil simulate``. ``hil run`` is looked at from
 outside between two instants of its loop, so that start, set-up and end are left out: bench, logger and
-terminal, user and system. The plain loop is that of bench_hub_cycle: SYNC, TPDOs awaited and read, commands
+terminal, user and system. The plain loop is that of bench_hub_cycle: SYNC, TPDOs awaited and read, commands;
 without records, limits or a thread. The hub's broker and the drives are neither's.
 """
 

@@ -352,7 +352,7 @@ def misuse(draw: random.Random) -> None:
     pump = _pump(link)
     codec = PdoCodec([(None, 1 + number, number) for number in range(3)], draw.random() < 0.5)
     own = (
-        *(codec, inner, timeline, segment, held, place, port, BusLoad(), SimulatedClock(timeline)),
+        *(codec, inner, timeline, segment, held, place, port, BusLoad(500_000), SimulatedClock(timeline)),
         *(ring, stream, link, pump, FrameSink(ring, 0)),
     )
     calls: list[Callable[..., Any]] = [

@@ -17,6 +17,7 @@ typedef struct BusLoad {
 typedef struct LoadObject {
     PyObject head;
     BusLoad load;
+    int64_t bitrate_bit_s, last_end; /* of the frames shown to it; 0: it counts none */
 } LoadObject;
 
 extern PyTypeObject *load_type;

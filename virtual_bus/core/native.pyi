@@ -502,6 +502,19 @@ class BusLoad:
     """Bus load over any past interval, from a bounded number of checkpoints: exact for the first 4096 frames,
     later good to the frames between two checkpoints, at worst one in 2048 of the whole run."""
 
+    def __new__(cls, bitrate_bit_s: int = 0, /) -> Self:
+        """``bitrate_bit_s``: of a bus whose frames a link shows to it. Error: ValueError below 0."""
+
+    @property
+    def way(self) -> object:
+        """A capsule by which a link shows its frames (design/core/frames.h)."""
+
+    def show(self, frame: WireFrame, sent: bool, at: Instant, /) -> None:
+        """The same from Python: a frame ended at ``at``; one that is told late, where the last one did.
+
+        Error: ValueError without a bit rate, and for a frame that no bus carries.
+        """
+
     @property
     def busy_ns(self) -> Duration:
         """In all."""

@@ -12,7 +12,7 @@ from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.drivers.wire.frame_port import FrameTap
 from servobench.hil.configuration.config import Background, BusSegment
 from servobench.hil.execution.segments import SegmentMasters, masters
-from servobench.hil.execution.world import LoadMeter, WorldFaults, WorldPlan, check_time, open_world
+from servobench.hil.execution.world import WorldFaults, WorldPlan, check_time, open_world
 from servobench.hil.write_lists import RUN
 from servobench.virtual_bus.faults.faulty_bus import FaultyBus
 from servobench.virtual_bus.hosting.injection import Injection
@@ -69,30 +69,6 @@ def test_without_a_plan_nothing_is_stalled_or_struck() -> None:
     assert WorldFaults([]).host_stall is None
     calm = Noted([], "first")
     assert WorldFaults([(cast(Injection, calm), None)]).host_stall is None
-
-
-def test_the_load_of_a_bus_is_that_of_the_frames_that_were_seen() -> None:
-    """A frame of 8 zero bytes and its stuff bits, with three bits after it, at 100 kbit/s."""
-    meter = LoadMeter(100_000)
-    assert meter.load_percent(Instant(0), Instant(10 * NS_PER_MS)) == 0.0
-    for at_ms in (2, 4, 6, 8):
-        meter.count("rx", 0x7FF, b"\x55" * 8, False, False, Instant(at_ms * NS_PER_MS))
-    # 44 + 64 bits, a stuff bit after each five ones of the identifier, and 3 bits of intermission
-    load = meter.load_percent(Instant(0), Instant(10 * NS_PER_MS))
-    assert load == pytest.approx(4 * (44 + 64 + 2 + 3) * 0.01 / 10.0 * 100.0)
-    half = meter.load_percent(Instant(0), Instant(5 * NS_PER_MS))
-    assert half == pytest.approx((2 * 1.13 + 0.13) / 5.0 * 100.0), "a part of the third lies within it"
-    remote = LoadMeter(100_000)
-    remote.count("tx", 0x7FF, b"", False, True, Instant(2 * NS_PER_MS))
-    assert 0.0 < remote.load_percent(Instant(0), Instant(10 * NS_PER_MS)) < load / 4
-
-
-def test_frames_that_are_told_late_are_counted_where_the_last_one_was() -> None:
-    meter = LoadMeter(100_000)
-    meter.count("rx", 0x7FF, b"", False, False, Instant(8 * NS_PER_MS))
-    meter.count("tx", 0x7FF, b"", False, False, Instant(2 * NS_PER_MS))
-    assert meter.load_percent(Instant(0), Instant(5 * NS_PER_MS)) == 0.0
-    assert meter.load_percent(Instant(5 * NS_PER_MS), Instant(10 * NS_PER_MS)) > 0.0
 
 
 def test_the_plan_of_a_bench_s_world_is_its_bus() -> None:
