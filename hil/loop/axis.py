@@ -340,7 +340,7 @@ class Axis:
         """How long a row waits, in cycles, for what may still become known of its reading."""
         if self.by_stamp.question.open or self.by_order.question.open:
             return self._held_max
-        return REVOKED if self.by_stamp.spread else 0
+        return REVOKED if self.by_stamp.spread else self.by_order.shown_later
 
     def _hold(self, fate: Fate) -> None:
         decision = self._decisions.take_first()

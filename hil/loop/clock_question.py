@@ -153,11 +153,11 @@ class ClockQuestion:
         return len(delays) < AGREEING_ALONE or min(delay, *delays) < low + self._half
 
     def free_marks(self, latest: Instant) -> list[SyncMark]:
-        """SYNCs of cycles that had ended by ``latest`` and have no stamp."""
+        """SYNCs of cycles that may have ended by ``latest`` and have no stamp."""
         return [
             mark
             for mark in self._syncs.marks
-            if mark.on_bus_at is not None and mark.on_bus_at <= latest
+            if mark.on_bus_at is not None and mark.on_bus_at - mark.late_ns <= latest
             if mark.number not in self.stamps and mark.sequence != SURPLUS
         ]
 

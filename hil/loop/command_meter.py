@@ -25,7 +25,7 @@ from servobench.drivers.exchange import SentCommand
 from servobench.drivers.timebase import Duration, Instant
 from servobench.drivers.wire.frame_port import EchoBasis
 from servobench.hil.loop.delay import UNHEARD_MAX
-from servobench.hil.loop.followed_command import FollowedCommand, LeastPasses
+from servobench.hil.loop.followed_command import CHANGES_WAIT, FollowedCommand, LastChange, LeastPasses
 from servobench.hil.loop.samples import CommandFate, Sending
 from servobench.hil.loop.syncs import ECHO_ERROR, LATE_WITHOUT_BOUND, STAMPED_LATE, SyncLog, SyncMark
 
@@ -85,7 +85,7 @@ class CommandMeter:
         has it; None: that is not so."""
         self._steady_from = self._steady_to = 0
         """Places of those two; the first is in the past where what was before it is followed, or it."""
-        self._passes = LeastPasses()
+        self._passes, self._last_change = LeastPasses(), LastChange()
 
     def sent(self, command: SentCommand) -> None:
         """A command has been handed over."""
@@ -98,7 +98,7 @@ class CommandMeter:
             elif not (leaving.sent.unsent or leaving.was_there(self._settled_by(told[0], told[1]))):
                 self._before_raw = None  # no telling has shown yet whether it is followed
             self._past += 1
-        while self._past and (self._asked or len(followed) > FOLLOWED_MAX):
+        while self._past > CHANGES_WAIT and (self._asked or len(followed) > FOLLOWED_MAX):
             followed.pop(0)
             self._past -= 1
             self._steady_from -= 1
@@ -138,10 +138,9 @@ class CommandMeter:
         come twice, or newer ones were there and frames overtake, it may have been before, and untold."""
         self._telling = True
         self._steady_raw = None
-        since, until = Instant(at - error), Instant(at + error)
-        followed = self._followed
-        in_force = self._in_force(since)
-        equal = [  # of those in the past too: a stamped change may be told late
+        since, until, followed = Instant(at - error), Instant(at + error), self._followed
+        in_force = self._in_force(since, 0)
+        equal = [
             place
             for place in range(max(in_force, 0), len(followed))
             if followed[place].raw == demand_raw
@@ -152,6 +151,7 @@ class CommandMeter:
             self._unordered = self._unordered or self._equals_older(demand_raw, in_force)
             return
         self._note_possible(equal)
+        self._unordered |= self._last_change.goes_back(at, followed[equal[0]], followed[equal[-1]])
         if len(equal) == 1:
             command = followed[equal[0]]
             self._note_acting(command, until, None)
@@ -237,13 +237,13 @@ class CommandMeter:
         self._steady_from = self._steady_to = place
         return True
 
-    def _in_force(self, at: Instant) -> int:
-        """Place of the newest command of which it is known that it, or a newer one, was followed by ``at``;
-        -1: of none."""
+    def _in_force(self, at: Instant, oldest: int) -> int:
+        """Place of the newest command, from the ``oldest`` on, of which it is known that it, or a newer one,
+        was followed by ``at``; -1: of none."""
         if self._unordered:
             return -1
         followed = self._followed
-        for place in range(len(followed) - 1, self._past - 1, -1):
+        for place in range(len(followed) - 1, oldest - 1, -1):
             reached_by = followed[place].reached_by
             if reached_by is not None and reached_by <= at:
                 return place
@@ -253,7 +253,7 @@ class CommandMeter:
         """Places of the commands that may have been followed, the oldest first, -1 for what was before them;
         empty if nothing explains the demand."""
         followed = self._followed
-        in_force = self._in_force(since)
+        in_force = self._in_force(since, self._past)
         equal = [
             place
             for place in range(max(in_force, self._past), len(followed))

@@ -10,6 +10,9 @@ from servobench.hil.loop.samples import CommandFate
 
 PASSES_WATCHED: Final = 32
 """Commands whose least number of passes stands for the next ones."""
+CHANGES_WAIT: Final = 32
+"""Commands in the past of which a stamped change may still tell: where delays spread it waits for twelve more
+readings, and some of those are lost."""
 MANY: Final = 1 << 30
 """More passes than a command can have."""
 
@@ -137,3 +140,18 @@ class LeastPasses:
         self._count += 1
         if self._count == PASSES_WATCHED:
             self.least, self._next, self._count = self._next, MANY, 0
+
+
+class LastChange:
+    """The last change of the demand, by the drive's own stamps."""
+
+    def __init__(self) -> None:
+        self._at = self._sent_at = Instant(0)
+
+    def goes_back(self, at: Instant, oldest: FollowedCommand, newest: FollowedCommand) -> bool:
+        """Take a change at ``at`` to a command from the ``oldest`` to the ``newest``; whether it goes back to
+        one that was sent before the last: they came twice, or overtook one another."""
+        later, goes_back = at > self._at, newest.sent.handed_at < self._sent_at
+        if later:
+            self._at, self._sent_at = at, oldest.sent.handed_at
+        return later and goes_back

@@ -4,7 +4,7 @@ from servobench.drivers.exchange import Reading
 from servobench.drivers.timebase import NEVER, NS_PER_US, Duration, Instant
 from servobench.hil.loop.attribution import HELD_MAX, Health, Question, Tell
 from servobench.hil.loop.kept_order import KeptOrder, PlacedInOrder
-from servobench.hil.loop.order_memory import UNTIDY_FOR, Copies, SampleDelays, Unanswered, Unconfirmed
+from servobench.hil.loop.order_memory import UNTIDY_FOR, Copies, SampleDelays, Strays, Unanswered, Unconfirmed
 from servobench.hil.loop.order_question import ASK_AGAIN_AFTER, STRAYS_MAX, OrderQuestion
 from servobench.hil.loop.samples import Sample
 from servobench.hil.loop.syncs import REMEMBERED, STAMPED_LATE, SURPLUS, SyncLog, SyncMark
@@ -32,12 +32,12 @@ class OrderAttribution:
         self._usual = UsualDelays(period, transit, syncs.error_ns, syncs.basis in STAMPED_LATE)
         self._in_question = OrderQuestion(syncs, period, transit, self._usual)
         self._answered = self._known = 0  # numbers of the last SYNCs that have readings, and certain ones
-        self._open, self.copies = Unanswered(syncs), Copies(period)
+        self._open, self.copies = Unanswered(syncs), Copies(syncs, period, transit)
         self._sure, self._beyond = True, False  # beyond: the question has had no answer so far
         self._unsure = Unconfirmed(self.question, self._usual)
-        self._strays: list[int] = []  # of those in a row, how long they came after the SYNC before them
+        self._strays = Strays()
         self._held: tuple[int, Instant, int] | None = None  # a row, if the next reading is to show it
-        self._strays_known = self._untidy = 0  # how many are placed; readings while frames may be held up
+        self._untidy = 0  # readings while frames may be held up
 
     @property
     def wants_probe(self) -> bool:
@@ -48,6 +48,11 @@ class OrderAttribution:
     def settled(self) -> bool:
         """True if it is known which SYNCs readings answer."""
         return self._sure and not self._beyond
+
+    @property
+    def shown_later(self) -> int:
+        """Cycles until the next reading, which may have changed places with the last: delays of a period."""
+        return 1 if self._usual.high > self._period else 0
 
     def learn(self, reading: Reading, mark: SyncMark) -> None:
         """Take a reading that can only answer the SYNC of ``mark``."""
@@ -72,17 +77,9 @@ class OrderAttribution:
         self._untidy -= self._untidy > 0
         again = copy and self.copies.told_by_stamps
         self.health.duplicates += again
-        if surplus := copy and self._is_surplus(reading):
+        if surplus := copy and self._sure and self.copies.is_surplus(reading, self._open, self._answered):
             self._note_untidy(copy)
         return None if again or surplus else self._place(reading, copy)
-
-    def _is_surplus(self, copy: Reading) -> bool:
-        """True if a copy is one: all SYNCs have their readings, and a shaft that is not at rest told it."""
-        latest = Instant(copy.received_at - self._transit)
-        mark = self._syncs.newest_before(latest)
-        if mark is None or not (self._sure and self.copies.told_by_speeds) or self._open.may_come(mark):
-            return False
-        return mark.number <= self._answered and not self._syncs.may_precede(latest, mark)
 
     def _place(self, reading: Reading, copy: bool) -> Sample | None:
         received_at, usual = reading.received_at, self._usual
@@ -117,8 +114,7 @@ class OrderAttribution:
         self.question.open = not (self._sure or self._beyond)
         if mark.sequence == SURPLUS:
             return self._guess(reading, None)
-        assert mark.on_bus_at is not None
-        delay = received_at - mark.on_bus_at
+        delay = received_at - (mark.on_bus_at or 0)
         copy = copy and self._untidy > 0
         behind = self._open.may_be_taken_for(mark)
         self._in_question.take_copy(copy=copy)
@@ -215,6 +211,8 @@ class OrderAttribution:
                 self.question.cleared = True
             self._untidy = 0  # what seemed to be held up was of the new delay
         elif not self._beyond:
+            if self._in_question.differed:  # and delays had not grown
+                self._untidy = UNTIDY_FOR
             self._in_question.odd += self._untidy > 0 and self._unsure.behind
             self._unsure.confirm(NEVER, untidy=self._untidy > 0)
             self.question.cleared = self._in_question.odd == 0
@@ -236,10 +234,8 @@ class OrderAttribution:
         self._unsure.clear()
         self._in_question.rest(number + ASK_AGAIN_AFTER)
         self._beyond = True
-        self._tell(
-            "it cannot be told which SYNCs its readings answer, as their delays changed or spread and it has"
-            " no stamp beside the speed: they are marked uncertain"
-        )
+        why = "as their delays changed or spread and it has no stamp beside the speed"
+        self._tell(f"it cannot be told which SYNCs its readings answer, {why}: they are marked uncertain")
 
     def _sample(self, reading: Reading, mark: SyncMark, *, certain: bool, waits: bool = False) -> Sample:
         """``waits``: the answer to a question will tell whether it is where it is placed."""
@@ -261,8 +257,6 @@ class OrderAttribution:
     def _error_of(self, delay: int) -> int:
         return self._delays.error_of(delay, first=self.health.placed <= FIRST)
 
-    # ---- frames that are held up, or come twice -----------------------------------------------------------
-
     def _stray(self, reading: Reading, copy: bool) -> Sample | None:
         """A reading of another delay than is usual, placed where a SYNC has none yet if there is one."""
         latest = Instant(reading.received_at - self._transit)
@@ -278,14 +272,14 @@ class OrderAttribution:
             self._doubt(self._syncs.marks[-1])
         alone = not (held or behind_unheard or stamped_late) and self._is_only_one(mark, copy)
         if next_one or not copy:
-            self._strays.append(age)
-            self._strays_known = self._strays_known + 1 if alone else 0
+            self._strays.add(age, known=alone)
         if alone:
             self._answered = self._known = mark.number
-            if len(self._strays) >= STRAYS_MAX <= self._strays_known:
-                self._usual.begin(self._strays)
+            changed_places = len(self._strays) == 1 and self._may_be_of_before(reading.received_at, mark)
+            if self._strays.are_known:
+                self._usual.begin(self._strays.ages)
                 self._strays.clear()
-            return self._sample(reading, mark, certain=True)
+            return self._sample(reading, mark, certain=not changed_places)
         self._usual.stray(copy=copy)
         if next_one and self._in_question.phase_known and len(self._strays) < STRAYS_MAX:
             return self._count_in(reading, mark, age, behind_unheard or (copy and self._untidy > 0))
@@ -299,7 +293,7 @@ class OrderAttribution:
         if len(self._strays) >= STRAYS_MAX:
             self._in_question.phase_known = False
             self._in_question.odd = max(0, self._in_question.odd - STRAYS_MAX)
-            self._ask(middle_of(self._strays, self._period))
+            self._ask(middle_of(self._strays.ages, self._period))
             self._in_question.weigh(reading.received_at)
             self._strays.clear()
         self._in_question.stray(reading.received_at, differs=probing)
@@ -319,7 +313,7 @@ class OrderAttribution:
             self._in_question.weigh(reading.received_at)
             self._in_question.stray(reading.received_at)
         self._in_question.odd += (behind := self._open.may_be_taken_for(mark)) and not copy
-        if not (self._sure or self._beyond or copy):
+        if not (self._sure or self._beyond or copy or self._may_be_of_before(reading.received_at, mark)):
             self._unsure.add((mark.sequence, reading.received_at, self._error_of(age)), age, behind)
         return self._guess(reading, mark)
 
@@ -338,6 +332,15 @@ class OrderAttribution:
         later = self._syncs.newest_before(Instant(received_at - self._transit))
         return later is not None and self._is_only_one(later, copy)
 
+    def _may_be_of_before(self, at: Instant, mark: SyncMark) -> bool:
+        """Return whether a stray behind ``mark`` may be of a SYNC before, as its delay from there is usual:
+        then the reading that one has may be of ``mark``, or nobody's, and is in doubt as well."""
+        own = self._syncs.newest_before(Instant(at - self._usual.least))
+        if own is None or own.number >= mark.number or not self._usual.holds(at - (own.on_bus_at or 0)):
+            return False
+        self._doubt(own)
+        return True
+
     def _is_held(self, mark: SyncMark, age: int, copy: bool) -> bool:
         """Return whether a reading is that of the SYNC before ``mark``: none comes as soon after its own."""
         if not self._sure or copy or mark.number != self._answered + 2 or age >= self._usual.least:
@@ -348,11 +351,10 @@ class OrderAttribution:
 
     def _hold(self, reading: Reading, mark: SyncMark) -> Sample | None:
         """It was held up. If the next one does not come, it may be one before, or that of ``mark``."""
-        own = self._mark(mark.number - 1)
+        own, came_at = self._mark(mark.number - 1), reading.received_at
         self._doubt(mark)
-        assert own.on_bus_at is not None
         self._answered = own.number
-        self._held = own.sequence, reading.received_at, self._error_of(reading.received_at - own.on_bus_at)
+        self._held = own.sequence, came_at, self._error_of(came_at - (own.on_bus_at or 0))
         self.question.open = True
         return self._guess(reading, own)
 
@@ -371,8 +373,7 @@ class OrderAttribution:
 
     def _take_open(self, latest: Instant, copy: bool) -> SyncMark | None:
         """The SYNC without a reading that one too many may answer. If it is the only one since a place was
-        certain, no reading is missing, and no delay has grown. Which one is whose is not told by that where
-        one that is held up may well look usual."""
+        certain, none is missing, and no delay has grown; whose each is, one that is held up may hide."""
         mark, question = self._open.take(latest), self._in_question
         tells_nothing = self._sure or copy or question.may_be_others or self._usual.doubted
         if mark is not None and not tells_nothing and self._open.since(self._known) == 0:

@@ -7,6 +7,7 @@ from servobench.drivers.exchange import Reading
 from servobench.drivers.timebase import Duration, Instant
 from servobench.hil.loop.attribution import Question
 from servobench.hil.loop.drive_stamps import DriveStamps
+from servobench.hil.loop.order_question import STRAYS_MAX
 from servobench.hil.loop.residuals import DelayExtremes
 from servobench.hil.loop.syncs import REMEMBERED, STAMPED_LATE, SyncLog, SyncMark
 from servobench.hil.loop.usual_delays import UsualDelays
@@ -72,6 +73,34 @@ class Unanswered:
         return None
 
 
+class Strays:
+    """Readings in a row of another delay than is usual."""
+
+    def __init__(self) -> None:
+        self.ages: list[int] = []
+        """How long each came after the SYNC before it."""
+        self._known = 0
+        """So many of the last ones are placed."""
+
+    def __len__(self) -> int:
+        return len(self.ages)
+
+    @property
+    def are_known(self) -> bool:
+        """True if so many of them are placed that theirs is the usual delay."""
+        return len(self.ages) >= STRAYS_MAX <= self._known
+
+    def add(self, age: int, *, known: bool) -> None:
+        """The next one; whether it is ``known`` which SYNC it answers."""
+        self.ages.append(age)
+        self._known = self._known + 1 if known else 0
+
+    def clear(self) -> None:
+        """A reading of a usual delay came, or theirs is the usual one."""
+        self.ages.clear()
+        self._known = 0
+
+
 class SampleDelays(DelayExtremes):
     """Delays of readings whose place is certain, outliers too: bounds are made from them.
 
@@ -98,10 +127,11 @@ class SampleDelays(DelayExtremes):
 class Copies:
     """Speeds and stamps of the last readings: a frame that comes twice tells one of them again."""
 
-    def __init__(self, period: Duration) -> None:
+    def __init__(self, syncs: SyncLog, period: Duration, transit: Duration) -> None:
         self.stamps: DriveStamps | None = None
         """Knowledge of the drive's stamps."""
-        self._period = period
+        self._syncs = syncs
+        self._period, self._transit = period, transit
         self._told: list[tuple[float, int | None]] = [(math.nan, None)] * COPIES
         self._place = 0
         self.before = self._held = False
@@ -120,6 +150,15 @@ class Copies:
     def told_by_speeds(self) -> bool:
         """True if what is held is hardly told by chance: a shaft at rest has told nothing else."""
         return not (self.before or math.isnan(self._told[-1][0]))
+
+    def is_surplus(self, copy: Reading, unanswered: Unanswered, answered: int) -> bool:
+        """Return whether one that is held answers no SYNC: all up to number ``answered`` have their readings,
+        and a shaft that is not at rest told it."""
+        latest = Instant(copy.received_at - self._transit)
+        mark = self._syncs.newest_before(latest)
+        if mark is None or not self.told_by_speeds or unanswered.may_come(mark):
+            return False
+        return mark.number <= answered and not self._syncs.may_precede(latest, mark)
 
     def holds(self, reading: Reading) -> bool:
         """Return whether one of the last readings told the same; else it is remembered."""

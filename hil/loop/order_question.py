@@ -156,6 +156,11 @@ class OrderQuestion:
         return too_soon or not self.phase_known or self.sooner() > 0
 
     @property
+    def differed(self) -> bool:
+        """True if readings came as those of grown delays would have, beside a probe."""
+        return any(since.differed for _, since in self._misses)
+
+    @property
     def strays_often(self) -> bool:
         """True if more readings than the last one, and than are rare, came at delays that are not usual."""
         return any(since.strays_often for _, since in self._misses)

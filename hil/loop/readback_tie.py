@@ -130,7 +130,7 @@ class ReadbackTie:
         while done < len(pending):
             first = pending[done]
             count = first.readings
-            if count > self.readings:
+            if count > self.readings or (not at_end and self._syncs.awaits_echo(first.received_at)):
                 break
             behind = self._placed_at(count)
             if first.in_reading and behind is not None:

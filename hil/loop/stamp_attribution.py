@@ -170,8 +170,7 @@ class StampAttribution:
         if mark.sequence == SURPLUS:
             health.unmatched += 1
             return None
-        health.placed += 1
-        delay = reading.received_at - sampled_at
+        health.placed, delay = health.placed + 1, reading.received_at - sampled_at
         self._case.delays.add(delay)
         unstamped_ns = self._case.unstamped_ns(delay)
         certain = not self.doubt.open
@@ -203,7 +202,7 @@ class StampAttribution:
 
     def _exonerate_free(self) -> None:
         """The clock is as it was: suspects alone on a SYNC of their own are certain after all."""
-        placed: list[tuple[Suspect, SyncMark]] = []
+        placed = list[tuple[Suspect, SyncMark]]()
         for suspect in self._suspects:
             at = self.clock.place(suspect.device_ns)
             mark = self._syncs.nearest(at)
@@ -223,10 +222,11 @@ class StampAttribution:
         stamped_ns = self.stamps.match_ns + self._residuals.spread
         proved = 0
         for suspect, mark in placed:
-            if suspect.guess == mark.sequence and guesses.count(suspect.guess) == 1:
-                delay = suspect.received_at - (mark.on_bus_at or 0)
-                late = max(self.stamps.match_ns, self._case.hidden_ns(delay))
+            delay = suspect.received_at - (mark.on_bus_at or 0)
+            if not suspect.second:  # wherever it was placed meanwhile: one with its stamp is a copy
                 self._case.answer(mark, suspect.device_ns)
+            if suspect.guess == mark.sequence and guesses.count(suspect.guess) == 1:
+                late = max(self.stamps.match_ns, self._case.hidden_ns(delay))
                 row = suspect.guess, suspect.received_at, stamped_ns + late + self._case.unstamped_ns(delay)
                 if self.doubt.open:
                     self.doubt.rows.append(row)

@@ -269,8 +269,8 @@ class SyncLog:
         An adapter may bring a frame of another node before the echo of one that was on the bus first. Once
         the next SYNC has been handed over, its echo is not waited for.
         """
-        pending = self._pending
-        return bool(pending) and pending[-1].on_bus_at is None and pending[-1].handed_at <= at
+        last = self._pending[-1] if self._pending else None
+        return last is not None and last.on_bus_at is None and self.last_on_bus < last.handed_at <= at
 
     @property
     def late_most(self) -> int:

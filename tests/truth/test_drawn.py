@@ -5,6 +5,7 @@
 
 from itertools import pairwise
 
+import numpy as np
 import pytest
 
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Instant
@@ -15,6 +16,8 @@ from servobench.virtual_bus.timeline import Timeline
 from tests.truth.adapter import Adapter, AdapterPort
 from tests.truth.drawn import FEATURES, DrawnPlan, drawn_plan, shrunk
 from tests.truth.drawn_run import bench_config, judged
+from tests.truth.rows import USED
+from tests.truth.tapped_run import run_with_taps
 
 CYCLES = 800
 SEEDS = (2, 7, 17, 27, 29, 33, 40, 57, 59, 65, 69, 71, 74, 78, 79, 81, 84, 86, 113, 118)
@@ -297,6 +300,28 @@ def test_a_command_acts_in_the_interval_that_is_told(seed: int, cycles: int) -> 
     verdict = judged(drawn_plan(seed), cycles)
     assert verdict.commands.told_acting > 0
     assert verdict.wrong == {}, verdict.examples
+
+
+@pytest.mark.parametrize(
+    ("seed", "cycles"),
+    [
+        pytest.param(460915, 670, id="a change waits for twelve readings, and its command had left"),
+        pytest.param(430048, 700, id="a demand came before the echo of its SYNC"),
+        pytest.param(461229, 40, id="the drive's stamps show that a command came twice"),
+    ],
+)
+def test_a_change_or_a_demand_is_tied_to_no_other_command_or_sync(seed: int, cycles: int) -> None:
+    """One command each acted outside of its interval."""
+    verdict = judged(drawn_plan(seed), cycles)
+    assert verdict.wrong == {}, verdict.examples
+
+
+def test_a_sync_lost_in_front_of_the_bus_holds_no_later_reading_up() -> None:
+    """Each waited for its echo until the next SYNC: 61 of 1437 decisions rested on the reading of their
+    cycle."""
+    rows = run_with_taps(bench_config(drawn_plan(460891), 200)).rows
+    used = rows[rows["fate"] == USED]
+    assert np.mean(used["estimate_sequence"] == used["sequence"]) > 0.98
 
 
 def test_a_feature_that_is_left_out_changes_no_other() -> None:

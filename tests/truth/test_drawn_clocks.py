@@ -71,6 +71,13 @@ def test_a_step_hides_in_what_echoes_are_late() -> None:
     assert verdict_of(460054, 280).readings.uncertain <= 60
 
 
+def test_one_frame_comes_twice_and_answers_one_sync() -> None:
+    """Off its SYNC by more than any before, whose echo was stamped behind it, it was placed nowhere near; so
+    its copy was taken for the reading, and was late. The drive followed a command again as it came twice, by
+    its own stamps, and that was told for the first time. 1 row and 1 command; 142 of 510 rows in doubt."""
+    assert verdict_of(451272, 170).readings.uncertain <= 70
+
+
 def test_late_echoes_leave_a_question_open_no_longer_than_they_must() -> None:
     """Without what they may be off 75 rows of 1500 are in doubt, with four times as much 95."""
     assert verdict_of(450173, 1500).readings.uncertain <= 60

@@ -66,6 +66,22 @@ def test_what_two_explanations_fit_alike_is_not_certain(seed: int, cycles: int) 
     assert verdict.wrong == {}, verdict.examples
 
 
+@pytest.mark.parametrize(
+    ("seed", "cycles"),
+    [
+        pytest.param(451853, 1112, id="one of a shorter delay overtook the last of the longer"),
+        pytest.param(460853, 40, id="it came in front of a probe, and delays had not grown"),
+        pytest.param(131025, 450, id="the reading of the SYNC before was a copy"),
+    ],
+)
+def test_a_reading_of_an_unusual_delay_that_may_be_of_another_sync_is_in_doubt(
+    seed: int, cycles: int
+) -> None:
+    """Frames are held up then, or have changed places, however well the others fit: 2, 1 and 1 rows."""
+    verdict = judged(drawn_plan(seed), cycles)
+    assert verdict.wrong == {}, verdict.examples
+
+
 def test_delays_grow_by_no_more_periods_than_readings_are_missing() -> None:
     """Traffic that beats with the SYNCs held them up as it had 30 periods before, and most of the last
     readings were in doubt: "its readings come 30050 us after their SYNC now", and one was late."""
