@@ -94,9 +94,10 @@ def fill_machine(
     if motor.mechanism is not None:
         fill_mechanism(inner, motor, motor.mechanism)
     calm_rad_s = _OVERSPEED * motor.rated_speed_rad_s
-    inner.substeps = _steps(motor, period_s, per_inductance, calm_rad_s)
-    inner.step_s = period_s / inner.substeps
-    inner.field_calm_rad_s, inner.field_calm_steps = calm_rad_s, inner.substeps
+    # the core tells it as a real number, which compiled code refuses where the whole one was set
+    steps = _steps(motor, period_s, per_inductance, calm_rad_s)
+    inner.substeps, inner.step_s = steps, period_s / steps
+    inner.field_calm_rad_s, inner.field_calm_steps = calm_rad_s, steps
     inner.field_fast_steps = _steps(motor, period_s, per_inductance, max(calm_rad_s, fastest_rad_s))
     inner.per_period = 1.0 / period_s
     inner.torque_constant_nm_a = motor.torque_constant_nm_a
