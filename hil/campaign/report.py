@@ -15,6 +15,7 @@ from servobench.hil.campaign.campaign import Campaign
 from servobench.hil.campaign.figures import PEAK, CellMap, cell_maps, failure_line, figures_of, worst_runs
 from servobench.hil.campaign.plan import GridAxis
 from servobench.hil.reviewing.html_page import html_page, html_table
+from servobench.hil.verdict.metrics import METRICS
 from servobench.hil.verdict.summary_text import number
 from servobench.hil.verdict.verdict import VerdictKind
 
@@ -111,7 +112,7 @@ def _point(each: dict[str, Any]) -> tuple[Any, ...]:
 def _quantiles(figures: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
     for name, each in figures["quantiles"].items():
         values = (number(each[key]) for key in ("50 %", "95 %", "largest"))
-        yield name, each["unit"], each["runs"], *values
+        yield METRICS[name].title if name in METRICS else name, each["unit"], each["runs"], *values
 
 
 def _sensitivity(figures: dict[str, Any]) -> str:

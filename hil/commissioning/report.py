@@ -301,8 +301,8 @@ def _markdown_step(number: int, step: Mapping[str, Any]) -> list[str]:
 
 def _html(figures: Mapping[str, Any], folder: Path) -> str:
     """Return one HTML file, with the pictures, read from ``folder``, embedded."""
-    fair = "" if figures["exit_status"] == ExitStatus.PASSED else " class='failed'"
-    verdict = f"<p{fair}><strong>{_text(figures['verdict'])}</strong></p>"
+    fair = " passed" if figures["exit_status"] == ExitStatus.PASSED else ""
+    verdict = f"<p class='verdict{fair}'>{_text(figures['verdict'])}</p>"
     body = [f"<h1>{_text(_title(figures))}</h1>", verdict, html_pairs(figures["header"])]
     if figures["error"]:
         body.append(f"<p class='failed'>Ended early: {_text(figures['error'])}</p>")

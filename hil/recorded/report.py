@@ -50,12 +50,13 @@ def _tables(judged: Judged) -> Iterator[Table]:
         yield "Certificate", ("", "certified", "seen"), certified
     yield "Figures", ("", ""), list(_figures(judged))
     yield "Run", ("", ""), list(_origin(judged))
-    yield "Warnings and errors", ("s", "", ""), list(_events(judged.run.folder / EVENTS_FILE))
+    yield "Warnings and errors", ("at, s", "", ""), list(_events(judged.run.folder / EVENTS_FILE))
 
 
 def _figures(judged: Judged) -> Iterator[tuple[str, str]]:
     summary, axes = judged.summary, len(judged.run.axes)
-    yield "Cycles", f"{summary.cycles} of {judged.run.cycles_planned} planned, {axes} axes"
+    counted = f"{axes} {'axis' if axes == 1 else 'axes'}"
+    yield "Cycles", f"{summary.cycles} of {judged.run.cycles_planned} planned, {counted}"
     yield from summary_lines(summary, axes).items()
 
 
@@ -199,7 +200,7 @@ def _log_tables(review: LogReview) -> Iterator[Table]:
     yield "PDOs", PDO_HEADS, list(pdo_rows(review))
     for axis in review.axes:
         story = [(f"{at:.6f}", what, text) for at, what, text in story_of(axis)]
-        yield f"{axis.name}: states and EMCYs", ("s", "", ""), story[:_LINES_MAX]
+        yield f"{axis.name}: states and EMCYs", ("at, s", "", ""), story[:_LINES_MAX]
     yield "Notes", ("",), [(note,) for note in review.notes]
 
 

@@ -13,13 +13,15 @@ h2{margin-top:1.8em}code{font-size:90%;overflow-wrap:anywhere}.b{font-size:1.3em
 table{border-collapse:collapse;margin:.6em 0 1.2em}th,td{padding:.2em .8em;text-align:left;vertical-align:top}
 th,td{border-bottom:1px solid #8884}th{background:#8882}.n{text-align:right;font-variant-numeric:tabular-nums}
 figure{margin:1em 0;background:#fff;color:#000}
-svg,img{width:46em;max-width:100%;height:auto}.wide svg{width:100%}
+p{overflow-wrap:anywhere}svg,img{width:60em;max-width:100%;height:auto}.wide svg{width:100%}
 .verdict{padding:.4em .8em;color:#fff;background:#b3202a}.passed{background:#1565c0}
 .kept{color:var(--good)}.broken,.failed{color:var(--bad);font-weight:bold}
+@media (max-width:48em){table{display:block;overflow-x:auto}th,td{padding:.2em .5em}
+td:nth-child(2):last-child{overflow-wrap:anywhere}td table{overflow-wrap:normal}}
 @media print{h2{break-after:avoid}img,svg{break-inside:avoid}}
 """
 """Good and bad in the colours of the viewer's lanes, 50 and more apart (CIELAB) to the colour-blind too; text
-grows with a window beyond 1875 px."""
+grows with a window beyond 1875 px, and on a telephone a table that is too wide moves by itself."""
 
 _PERCENT: Final = "\N{NO-BREAK SPACE}%"
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from servobench.drivers.timebase import NS_PER_S, MonotonicClock
-from servobench.hil.recorded.viewer import LAID_OUT_FOR, headless_viewer, page_file
+from servobench.hil.recorded.viewer import headless_viewer, page_file
 from tests.pictures.browser import PROGRAM
 from tests.pictures.cases import Case, cases
 from tests.pictures.html_pages import look_at, made_pages
@@ -53,8 +53,7 @@ def draw(case: Case, recording: Path, out: Path) -> list[Drawn]:
     if case.light and PROGRAM is not None:
         sizes = SIZES if case.sizes else SIZES[:1]
         for size, png in zip(sizes, light_pages(recording, sizes), strict=True):
-            fits = case if size == LAID_OUT_FOR else None
-            drawn.append(_judged(f"{case.name}-{size[0]}-light", png, out, fits, LIGHT))
+            drawn.append(_judged(f"{case.name}-{size[0]}-light", png, out, case, LIGHT))
     return drawn
 
 
@@ -62,6 +61,13 @@ def _judged(name: str, png: bytes, out: Path, case: Case | None, ground: Color =
     (out / f"{name}.png").write_bytes(png)
     picture = Picture.of_png(png, ground)
     return name, complaints(picture, case.lines, case.seen) if case else complaints(picture, (), {})
+
+
+def _drawn(case: Case, future: Future[list[Drawn]]) -> list[Drawn]:
+    try:
+        return future.result()
+    except AssertionError as error:  # a browser that does not answer does not take the others with it
+        return [(case.name, [str(error)])]
 
 
 def write_index(drawn: Sequence[Drawn], out: Path) -> None:
@@ -93,7 +99,7 @@ def main() -> None:
                 break
             recording = case.make(Path(folder) / case.name)
             pending.append(viewers.submit(draw, case, recording, options.out))
-        drawn = [each for future in pending for each in future.result()]
+        drawn = [each for case, future in zip(chosen, pending, strict=False) for each in _drawn(case, future)]
         if PROGRAM is None:
             print("pages of HTML and light pages are not looked at: no chromium; apt-get install chromium")
         elif options.only in "page":

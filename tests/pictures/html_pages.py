@@ -14,7 +14,7 @@ from tests.colour_sight import apart, contrast
 from tests.pictures import made
 from tests.pictures.browser import Browser, browser
 
-SIZES: Final = ((1366, 768), (1920, 1080), (3840, 2160))
+SIZES: Final = ((390, 844), (1366, 768), (1920, 1080), (3840, 2160))
 GROUNDS: Final = {"light": (255, 255, 255), "dark": (18, 18, 18)}
 """What Chromium lays below a page."""
 _READABLE: Final = 4.5

@@ -153,7 +153,7 @@ def test_the_tables_are_rows_of_figures(reported: str) -> None:
         "-",
     ]
     quantiles = table(parts["Figures of all runs"])
-    assert quantiles[1] == ["speed_error_peak_percent", "%", "10", "7", "11.05", "11.5"]
+    assert quantiles[1] == ["speed error, peak", "%", "10", "7", "11.05", "11.5"]
     assert "<td class='n'>10</td>" in parts["Figures of all runs"]
     matters = table(parts["What matters"])
     assert [row[0] for row in matters[1:]] == [LOSS, GAIN]

@@ -262,7 +262,7 @@ def test_what_was_written_is_told_in_the_units_of_the_drive(tmp_path: Path) -> N
 def test_the_verdict_stands_first(tmp_path: Path, result: dict[str, Any], verdict: str) -> None:
     text, page = written(tmp_path, **result)
     assert text.splitlines()[2] == f"**{verdict}**"
-    assert page.index(f"<strong>{verdict}</strong>") < page.index("<table>")
+    assert page.index(f">{verdict}</p>") < page.index("<table>")
     assert json.loads((tmp_path / "figures.json").read_text())["verdict"] == verdict
 
 

@@ -271,7 +271,7 @@ def test_the_figures_of_a_report_are_those_of_the_summary(tmp_path: Path) -> Non
     text = report(tmp_path / "r.md", judged(whole))
     table = text.split("## Figures\n\n")[1].split("\n\n")[0].splitlines()[2:]
     assert table[:10] == [
-        "| Cycles | 2000 of 2000 planned, 1 axes |",
+        "| Cycles | 2000 of 2000 planned, 1 axis |",
         "| Tracking error | peak 6.68 rad/s (4.25 %), rms 0.7 rad/s |",
         "| After load step | not measured |",
         "| Torque | 0.1235 N m rms about its mean in steady state |",
