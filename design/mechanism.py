@@ -10,7 +10,7 @@ From motor torque to motor speed the load is a notch at w_a, and the rotor swing
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -49,6 +49,15 @@ class Coupling:
     def resonance_hz(self) -> float:
         """At which both masses swing against each other."""
         return self.antiresonance_hz * math.sqrt(1.0 + self.load_kg_m2 / self.motor_kg_m2)
+
+    def with_resonance(self, share: float) -> "Coupling":
+        """The same with both frequencies so many times as high."""
+        return replace(self, stiffness_nm_rad=share**2 * self.stiffness_nm_rad)
+
+    def scaled(self, share: float) -> "Coupling":
+        """The same spring between masses that are so many times as large."""
+        larger = replace(self, motor_kg_m2=share * self.motor_kg_m2, load_kg_m2=share * self.load_kg_m2)
+        return replace(larger, damping_ratio=self.damping_ratio / math.sqrt(share))
 
     @property
     def damping_nm_s(self) -> float:

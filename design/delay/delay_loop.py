@@ -19,15 +19,21 @@ a is the rate of the drive's current loop, of first order: its PI cancels the po
 paper has a drive without one, whose current follows the voltage with R/L. K_t is the torque per q-axis
 ampere at i_d = 0. With integral action the state is [e_q, e, integral of e] and
 K = [K1 (A/A), K2 (A s/rad), K3 (A/rad)].
+
+Behind a coupling (:mod:`servobench.design.mechanism`) two states more stand at the end, speed error of the
+other side and twist; K feeds neither back, the load torque acts on the load, e is of the encoder's side.
 """
 
 import math
 from dataclasses import dataclass
 from enum import Enum
+from typing import Final
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
+from servobench.design.mechanism import Coupling, Side
 from servobench.design.motor import PmsmParameters
 
 Array = NDArray[np.float64]
@@ -158,7 +164,8 @@ class Feedback(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpeedModel:
-    """The open loop above: A (n, n), B1, B2, C (n,); n = 2, or 3 with the integral of the speed error."""
+    """The open loop above: A (n, n), B1, B2, C (n,); n = 2, or 3 with the integral of the speed error, and
+    two more behind a coupling."""
 
     A: Array
     B1: Array
@@ -166,15 +173,27 @@ class SpeedModel:
     C: Array
     state_scale: Array
     """Size of each state at a speed error of 1 rad/s, for scaling only."""
+    rigid: "SpeedModel | None" = None
+    """The same without its coupling; None: it has none."""
+
+    @property
+    def gains(self) -> int:
+        """How many states are fed back."""
+        return len(self.A if self.rigid is None else self.rigid.A)
 
     @property
     def has_integral(self) -> bool:
         """True if the integral of the speed error is a state."""
-        return len(self.A) == 3
+        return self.gains == 3
+
+    def whole(self, K: ArrayLike) -> Array:
+        """Return the gains of all states, (n,): none for those behind a coupling."""
+        given = np.asarray(K, dtype=float)
+        return np.concatenate([given, np.zeros(len(self.A) - len(given))])
 
     def loop(self, K: ArrayLike, delay_s: float) -> DelayLoop:
         """Return the loop closed by u = K x(t - delay), from load torque (N m) to speed error (rad/s)."""
-        return DelayLoop(self.A, self.B1, np.asarray(K, dtype=float), self.B2, self.C, delay_s)
+        return DelayLoop(self.A, self.B1, self.whole(K), self.B2, self.C, delay_s)
 
     def free_gains(self, feedback: Feedback) -> list[int]:
         """Return the indices of the entries of K that a design chooses; K3 follows K2 by the integral
@@ -191,7 +210,11 @@ class SpeedModel:
 
     @property
     def without_integral(self) -> "SpeedModel":
-        """The model of the two states of [Ling2012] alone."""
+        """The model without that state."""
+        if self.rigid is not None:
+            kept = [0, 1, *range(self.gains, len(self.A))]
+            B1, B2, C, scale = (each[kept] for each in (self.B1, self.B2, self.C, self.state_scale))
+            return SpeedModel(self.A[np.ix_(kept, kept)], B1, B2, C, scale, self.rigid.without_integral)
         return SpeedModel(self.A[:2, :2], self.B1[:2], self.B2[:2], self.C[:2], self.state_scale[:2])
 
     def integral_time_s(self, delay_s: float) -> float:
@@ -220,13 +243,47 @@ def speed_model(
     ``current_bandwidth_hz``: bandwidth of the drive's current loop; None: the winding's own, R/L, as in
     [Ling2012].
     """
-    return model_of(
+    rigid = model_of(
         current_rate_rad_s(motor, current_bandwidth_hz),
         motor.torque_constant_nm_a,
         motor.inertia_kg_m2,
         motor.viscous_friction_nm_s,
         integral=integral,
     )
+    mechanism = motor.mechanism
+    if mechanism is None or mechanism.coupling is None:
+        return rigid
+    on_load = mechanism.friction is not None and mechanism.friction.side is Side.LOAD
+    return behind_coupling(rigid, motor, mechanism.coupling, on_load)
+
+
+def behind_coupling(
+    rigid: SpeedModel, motor: PmsmParameters, coupling: Coupling, friction_on_load: bool = False
+) -> SpeedModel:
+    """Return the model of a shaft that twists; ``friction_on_load``: the viscous friction is there."""
+    k, d, m, j = (
+        coupling.stiffness_nm_rad,
+        coupling.damping_nm_s,
+        coupling.motor_kg_m2,
+        coupling.load_kg_m2,
+    )
+    n, B = len(rigid.A), motor.viscous_friction_nm_s
+    # The side that is fed back stands where a rigid shaft has its speed.
+    turned, load = (n, 1) if coupling.encoder is Side.LOAD else (1, n)
+    twist, rubbed = n + 1, load if friction_on_load else turned
+    A = np.zeros((n + 2, n + 2))
+    A[:n, :n] = rigid.A
+    A[1] = 0.0
+    A[turned, 0] = motor.torque_constant_nm_a / m
+    for row, sign, inertia in ((turned, -1.0, m), (load, 1.0, j)):
+        A[row, [turned, load, twist]] = sign * np.array([d, -d, k]) / inertia
+    A[rubbed, rubbed] -= B / (j if friction_on_load else m)
+    A[twist, [turned, load]] = 1.0, -1.0
+    B2 = np.zeros(n + 2)
+    B2[load] = 1.0 / j
+    C = np.append(rigid.C, [0.0, 0.0])
+    scale = np.append(rigid.state_scale, [1.0, 1.0 / (math.tau * coupling.resonance_hz)])
+    return SpeedModel(A, np.append(rigid.B1, [0.0, 0.0]), B2, C, scale, rigid)
 
 
 def model_of(
@@ -266,11 +323,26 @@ def percent_of_speed(gain: float, load_nm: float, speed_rad_s: float) -> float:
     return gain / gain_for_error(1.0, load_nm, speed_rad_s)
 
 
+_FLOOR_STEPS: Final = 200
+"""Of the delay: a swing of 500 Hz within 20 ms is met to 1 % of its height."""
+
+
 def peak_floor_rad_s(motor: PmsmParameters, delay_s: float) -> float:
     """Return the least peak speed deviation after a load step of 1 N m with any controller, rad/s per N m.
 
     Nothing acts before the delay has passed: until then inertia and friction alone meet the load,
-    J omega' = -B_0 omega - 1.
+    J omega' = -B_0 omega - 1. Behind a coupling so do both masses, and the error is of the encoder's side.
     """
+    model = speed_model(motor)
+    if model.rigid is not None:
+        n = len(model.A)
+        stepped = np.zeros((n + 1, n + 1))
+        stepped[:n, :n], stepped[:n, n] = model.A, model.B2
+        step = scipy.linalg.expm(stepped * delay_s / _FLOOR_STEPS)
+        x, largest = np.append(np.zeros(n), 1.0), 0.0
+        for _ in range(_FLOOR_STEPS):
+            x = step @ x
+            largest = max(largest, abs(float(model.C @ x[:n])))
+        return largest
     B, J = motor.viscous_friction_nm_s, motor.inertia_kg_m2
     return delay_s / J if B == 0.0 else -math.expm1(-B * delay_s / J) / B

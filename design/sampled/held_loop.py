@@ -210,7 +210,7 @@ class HeldLoop(SwitchedLoop):
     """``model`` closed by u = K x over ``network``."""
 
     def __init__(self, model: SpeedModel, K: Array, network: SampledNetwork) -> None:
-        self.K = np.asarray(K, dtype=float)
+        self.K = model.whole(K)
         n = len(model.A)
         super().__init__(model, network, n + 2 + network.behind, n + 1 + network.behind)
 

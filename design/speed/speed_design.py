@@ -156,8 +156,7 @@ def _keeps(loop: DelayLoop, gamma: float, exact: bool = False) -> bool:
 
 def _starts(model: SpeedModel, delay_s: float, feedback: Feedback, integral_time_s: float) -> list[Array]:
     """Return gains that are stable at ``delay_s``, from the least of speed-only feedback."""
-    free = len(model.A)
-    best: tuple[float, Array] = (math.inf, np.zeros(free))
+    best: tuple[float, Array] = (math.inf, np.zeros(len(model.A)))
     for k in np.geomspace(1e-5, 1e3, 161) * _natural_gain(model):
         K = _speed_gain(model, -float(k), integral_time_s)
         loop = model.loop(K, delay_s)
@@ -175,6 +174,7 @@ def _starts(model: SpeedModel, delay_s: float, feedback: Feedback, integral_time
 
 def _natural_gain(model: SpeedModel) -> float:
     """Return a speed gain, A s/rad, at which the crossing is about the current loop's rate over ten."""
+    model = model.rigid or model
     rate = -float(model.A[0, 0])
     return rate / 10.0 / float(model.A[1, 0])
 
@@ -189,8 +189,9 @@ def _speed_gain(model: SpeedModel, K2: float, integral_time_s: float) -> Array:
 
 def _speed_starts(model: SpeedModel, gamma: float, integral_time_s: float) -> list[Array]:
     """Return speed gains around the least that keeps the gain at rest within ``gamma``."""
-    slope, friction = float(model.A[1, 0]), -float(model.A[1, 1])
-    J = 1.0 / float(model.B2[1])
+    shaft = model.rigid or model
+    slope, friction = float(shaft.A[1, 0]), -float(shaft.A[1, 1])
+    J = 1.0 / float(shaft.B2[1])
     needed = max((1.0 / gamma - friction * J) / (slope * J), 1e-6 * _natural_gain(model))
     # beside an integral, or where the current loop is slow for it, the resonance counts, not the gain at rest
     factors = (1.02, 1.15, 1.6, 2.5, 4.0, 8.0, 20.0)

@@ -16,7 +16,7 @@ period of holding included. The rule:
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -129,9 +129,7 @@ def _behind(
 ) -> tuple[float, Margins]:
     """The highest crossover up to ``w_rigid`` by rule 4, and the margins of its loop. Error:
     InfeasibleDesign."""
-    places = [
-        replace(coupling, stiffness_nm_rad=share**2 * coupling.stiffness_nm_rad) for share in COUPLED_RANGE
-    ]
+    places = [coupling.with_resonance(share) for share in COUPLED_RANGE]
     for w_c in np.geomspace(w_rigid, 0.01 * w_rigid, _TRIED):
         loops = [_flexible(each, shape(float(w_c)), float(w_c)) for each in places]
         if all(_keeps(loop, _grid(each, highest)) for loop, each in zip(loops, places, strict=True)):

@@ -109,6 +109,15 @@ class SpeedRobustness:
     """Torque command, N m rms, that 1 rad/s rms of white noise on each speed sample makes."""
 
 
+def _heavier(motor: PmsmParameters, share: float) -> PmsmParameters:
+    """Return the motor with all its inertia so many times as large, on both sides of a coupling."""
+    heavier = replace(motor, inertia_kg_m2=share * motor.inertia_kg_m2)
+    mechanism = motor.mechanism
+    if mechanism is None or mechanism.coupling is None:
+        return heavier
+    return replace(heavier, mechanism=replace(mechanism, coupling=mechanism.coupling.scaled(share)))
+
+
 def speed_robustness(
     plant: Callable[[PmsmParameters, float], SpeedModel],
     motor: PmsmParameters,
@@ -123,7 +132,7 @@ def speed_robustness(
     """
 
     def changed(inertia: float, rate: float) -> Changed:
-        model = plant(replace(motor, inertia_kg_m2=motor.inertia_kg_m2 * inertia), rate)
+        model = plant(_heavier(motor, inertia), rate)
         constant = hinf_norm(model.loop(loop.K, loop.delay_s))
         if held is None:
             return Changed(constant, None)

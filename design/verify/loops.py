@@ -62,7 +62,7 @@ class RebuiltLoop:
 def motor_of(file: dict[str, Any]) -> tuple[arb, arb, arb, arb]:
     """Return rate of the current loop, 1/s, J, B and K_t."""
     made = file["made_for"]
-    plant = {key: number(value) for key, value in made["plant"].items()}
+    plant = {key: number(value) for key, value in made["plant"].items() if key != "coupling"}
     rate = plant["resistance_ohm"] / plant["inductance_q_h"]
     if "current_loop" in made:
         rate = 2 * arb.pi() * number(made["current_loop"]["bandwidth_hz"])
@@ -74,9 +74,14 @@ def state_feedback(file: dict[str, Any]) -> RebuiltLoop:
     made, K = file["made_for"], [number(entry) for entry in file["gain"]]
     rate, J, B, Kt = motor_of(file)
     n, zero = len(K), arb(0)
-    A = [[-rate, zero, zero], [Kt / J, -B / J, zero], [zero, arb(1), zero]]
-    F = arb_mat([[*row[:n], rate if i == 0 else zero] for i, row in enumerate(A[:n])] + [[zero] * (n + 1)])
-    E, C = ([[zero], [value], [zero], [zero]][: n + 1] for value in (1 / J, arb(1)))
+    A = [row[:n] for row in [[-rate, zero, zero], [Kt / J, -B / J, zero], [zero, arb(1), zero]][:n]]
+    loaded = [zero, 1 / J, zero][:n]
+    if "coupling" in made["plant"]:
+        A, loaded = coupled(made["plant"]["coupling"], A, B, Kt)
+        K, n = [*K, zero, zero], n + 2
+    F = arb_mat([[*row, rate if i == 0 else zero] for i, row in enumerate(A)] + [[zero] * (n + 1)])
+    E = [[entry] for entry in [*loaded, zero]]
+    C = [[arb(1) if place == 1 else zero] for place in range(n + 1)]
     h, T, D = Fraction(made["period_us"]), Fraction(made["delay_max_us"]), made["losses_in_a_row_max"]
     arrival = made["strategy"] == "arrival"
     latest = T if arrival else Fraction(made["agreed_delay_us"])
@@ -97,6 +102,29 @@ def state_feedback(file: dict[str, Any]) -> RebuiltLoop:
     inputs = [sampled[n + 1], *(unit(size)[n + back] for back in range(1, behind + 1)), unit(size)[n]]
     idle: tuple[Operation, ...] = (begin, ("flow", h))
     return RebuiltLoop(F, arb_mat(E), arb_mat(C), h, size, size - 1, count, steps, idle, applying, inputs)
+
+
+def coupled(
+    file: dict[str, Any], rigid: list[list[arb]], B: arb, Kt: arb
+) -> tuple[list[list[arb]], list[arb]]:
+    """Return A of a shaft that twists, and where a load torque enters: behind the states of the rigid one the
+    other side's speed and the twist. That of the encoder is state 1."""
+    m, j, k, d = (
+        number(file[key]) for key in ("motor_kg_m2", "load_kg_m2", "stiffness_nm_rad", "damping_nm_s")
+    )
+    n, zero = len(rigid), arb(0)
+    rotor, load = (n, 1) if file["encoder"] == "load" else (1, n)
+    A = [[*row, zero, zero] for row in rigid] + [[zero] * (n + 2) for _ in range(2)]
+    A[1] = [zero] * (n + 2)
+    A[rotor][0] = Kt / m
+    for row, sign, inertia in ((rotor, -1, m), (load, 1, j)):
+        A[row][rotor] += sign * d / inertia
+        A[row][load] += -sign * d / inertia
+        A[row][n + 1] = sign * k / inertia
+    rubbed, inertia = (load, j) if file["friction"] == "load" else (rotor, m)
+    A[rubbed][rubbed] -= B / inertia
+    A[n + 1][rotor], A[n + 1][load] = arb(1), arb(-1)
+    return A, [1 / j if place == load else zero for place in range(n + 2)]
 
 
 def arrivals(node: int, count: int, behind: int, offset: Fraction, h: Fraction) -> Iterator[RebuiltStep]:

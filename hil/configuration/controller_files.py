@@ -5,6 +5,7 @@ bench file names the file as ``controller``, and ``hil run`` compares the bench'
 network with it. A simulated drive runs the current controller that ``hil design current --out`` writes.
 """
 
+import math
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -31,6 +32,24 @@ Rows = Annotated[tuple[Annotated[tuple[Coefficient, ...], Field(strict=False)], 
 FilterGains = Annotated[tuple[Rows, ...], Field(strict=False)]
 
 
+class DesignCoupling(Section):
+    """``coupling`` of a plant: two masses, the load's behind a spring with a damper."""
+
+    motor_kg_m2: float = Field(gt=0)
+    load_kg_m2: float = Field(gt=0)
+    stiffness_nm_rad: float = Field(gt=0)
+    damping_nm_s: float = Field(ge=0)
+    encoder: Literal["motor", "load"]
+    friction: Literal["motor", "load"]
+    """Side of the viscous friction."""
+
+    @property
+    def resonance_hz(self) -> float:
+        """At which both masses swing against each other."""
+        per_inertia = 1.0 / self.motor_kg_m2 + 1.0 / self.load_kg_m2
+        return math.sqrt(self.stiffness_nm_rad * per_inertia) / math.tau
+
+
 class DesignPlant(Section):
     """The motor as the design saw it."""
 
@@ -39,6 +58,8 @@ class DesignPlant(Section):
     inertia_kg_m2: Inertia
     viscous_friction_nm_s: ViscousFriction
     torque_constant_nm_a: float = Field(gt=0)
+    coupling: DesignCoupling | None = None
+    """Absent: a rigid shaft."""
 
 
 class CurrentLoop(Section):

@@ -37,6 +37,7 @@ from servobench.hil.configuration.drive_current_loop import (
 )
 from servobench.hil.configuration.network_file import Network, commands_unknown, load_network
 from servobench.hil.configuration.predicting_controllers import PredictingController
+from servobench.hil.execution.coupling_premise import flexible
 from servobench.hil.loop.cycle_record import CycleRecord
 from servobench.hil.loop.samples import Sample
 from servobench.hil.loop.scenario import Quantity
@@ -101,7 +102,7 @@ def _bench_faults(config: BenchConfig, drive: DriveConfig, made_for: MadeFor, ke
             faults.append((f"{key}.strategy", f"{made_for.strategy}{at}", expected))
     if made_for.plant is not None:
         motor = drive.motor.parameters
-        for name in DesignPlant.model_fields:
+        for name in DesignPlant.model_fields.keys() - {"coupling"}:
             value, real = getattr(made_for.plant, name), getattr(motor, name)
             if abs(value - real) > _RELATIVE * abs(real):
                 faults.append((f"{key}.plant.{name}", value, f"that of the motor {motor.name}, {real:g}"))
@@ -328,7 +329,7 @@ class Certificates:
             yield f"{key}: {value}, expected {expected}"
         if self._config.quantity(axis) is Quantity.POSITION:
             yield f"reference.{axis}: positions, expected speeds, without a loop of the position around"
-        yield from self._flexible(axis)
+        yield from flexible(axis, self._config.drive[axis], self._config.simulated)
         yield from self._shaped(axis)
         yield from self._sensed(axis)
         if self._config.simulated:
@@ -341,22 +342,6 @@ class Certificates:
         for kind in _ON_THE_DRIVE:
             if kind in plan:
                 yield f"faults.{kind}: the drive itself was struck"
-
-    def _flexible(self, axis: str) -> Iterator[str]:
-        """A coupling that twists, or a load that changes with its place: a certificate has a rigid shaft."""
-        drive, key = self._config.drive[axis], f"drive.{axis}.motor"
-        motor = drive.motor
-        if self._config.simulated and drive.simulation.motor is not None:
-            motor, key = drive.simulation.motor, f"drive.{axis}.simulation.motor"
-        mechanism = motor.parameters.mechanism
-        if mechanism is None:
-            return
-        if mechanism.load is not None and mechanism.load.of_its_place:
-            parts = ", ".join(mechanism.load.of_its_place)
-            yield f"{key}.load: {parts}, expected a load torque that no place or speed changes"
-        if mechanism.coupling is not None:
-            found_hz = mechanism.coupling.resonance_hz
-            yield f"{key}.coupling: resonance at {found_hz:.3g} Hz, expected a rigid shaft"
 
     def _shaped(self, axis: str) -> Iterator[str]:
         """A torque that the drive filters, where every model has its current loop alone."""

@@ -105,7 +105,7 @@ def speed(asked: AnalysisOptions) -> None:
     Examples:
       hil analyse speed motor.toml --gain 0,-0.02 --delay-ms 10
     """
-    gains, parameters = _gain_of(asked.gain), rigid_motor(asked.motor)
+    gains, parameters = _gain_of(asked.gain), rigid_motor(asked.motor, knows_coupling=True)
     network = _network(asked)
     inner = asked.current_loop.known_loop()
     delay_s = _delay_s(asked.delay_ms, network)

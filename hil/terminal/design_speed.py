@@ -111,7 +111,7 @@ def speed(asked: SpeedDesignOptions) -> None:
         _check_static(asked)
     else:
         _refuse_static(asked)
-    motor = rigid_motor(asked.motor)
+    motor = rigid_motor(asked.motor, knows_coupling=static)
     inner = asked.current_loop.known_loop()
     network = _network(asked.network, asked) if asked.network else None
     design = _design_static if static else _design_dynamic

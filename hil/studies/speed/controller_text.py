@@ -18,6 +18,7 @@ from servobench.hil.configuration.config_files import Section, toml_text
 from servobench.hil.configuration.controller_files import (
     Certificate,
     CurrentLoop,
+    DesignCoupling,
     DesignPlant,
     MadeFor,
     SequenceProof,
@@ -38,15 +39,33 @@ def begun_us(time_s: float) -> int:
 
 
 def plant_of(motor: PmsmParameters) -> DesignPlant:
-    """Return the plant data of a design."""
-    return DesignPlant.model_validate(motor, from_attributes=True)
+    """Return the plant data of a design that knows no coupling."""
+    figures = {name: getattr(motor, name) for name in DesignPlant.model_fields if name != "coupling"}
+    return DesignPlant.model_validate(figures)
+
+
+def coupled_plant_of(motor: PmsmParameters) -> DesignPlant:
+    """Return the plant data of a design that knows the coupling of its motor."""
+    mechanism = motor.mechanism
+    if mechanism is None or mechanism.coupling is None:
+        return plant_of(motor)
+    shaft, friction = mechanism.coupling, mechanism.friction
+    coupling = DesignCoupling(
+        motor_kg_m2=shaft.motor_kg_m2,
+        load_kg_m2=shaft.load_kg_m2,
+        stiffness_nm_rad=shaft.stiffness_nm_rad,
+        damping_nm_s=shaft.damping_nm_s,
+        encoder=shaft.encoder.value,
+        friction="motor" if friction is None else friction.side.value,
+    )
+    return plant_of(motor).model_copy(update={"coupling": coupling})
 
 
 def controller_of(result: DesignResult) -> StateFeedbackController:
     """Return the table [controller] of a design."""
     return StateFeedbackController(
         kind="state_feedback",
-        gain=tuple(result.design.K.tolist()),
+        gain=tuple(result.gains),
         made_for=_made_for(result),
         certificate=Certificate.model_validate(
             {
@@ -82,7 +101,7 @@ def _made_for(result: DesignResult) -> MadeFor:
     network = result.request.network
     return MadeFor(
         delay_us=begun_us(result.design.delay_s),
-        plant=plant_of(result.request.motor),
+        plant=coupled_plant_of(result.request.motor),
         current_loop=_current_loop(result),
         **({} if network is None else _network(network)),
     )

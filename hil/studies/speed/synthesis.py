@@ -27,6 +27,7 @@ from servobench.design.sampled.bandwidth_range import (
 )
 from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork
 from servobench.design.speed.cone_complementarity import largest_ccl_delay
+from servobench.design.speed.coupled_design import couplings_off, least_gain_over
 from servobench.design.speed.lmi_design import largest_certified_delay, least_certified_gain
 from servobench.design.speed.sampled_design import least_sampled_gain
 from servobench.design.speed.speed_design import SpeedDesign, largest_delay, least_gain
@@ -98,13 +99,19 @@ class DesignResult:
     None: not computed."""
 
     @property
+    def gains(self) -> list[float]:
+        """What is fed back: nothing behind a coupling."""
+        fed = [float(entry) for entry in self.design.K]
+        return fed[: 3 if self.request.way.integral else 2]
+
+    @property
     def figures(self) -> dict[str, Any]:
         """For JSON."""
         request, design = self.request, self.design
         floor = peak_floor_rad_s(request.motor, design.delay_s)
         figures: dict[str, Any] = {
             "feasible": True,
-            "gain": design.K.tolist(),
+            "gain": self.gains,
             "current_bandwidth_hz": request.current_bandwidth_hz,
             "gamma": design.gain,
             "delay_s": design.delay_s,
@@ -150,6 +157,7 @@ def _robustness(result: DesignResult) -> dict[str, Any]:
         return speed_model(motor, request.way.integral, rate / math.tau)
 
     model = plant(request.motor, 1.0)
+    coupled = couplings_off(request.motor)
     held = None if request.network is None else HeldLoop(model, design.K, request.network)
     loop = model.loop(design.K, design.delay_s)
     robustness = speed_robustness(plant, request.motor, loop, held, sampled.patterns if sampled else [])
@@ -161,6 +169,10 @@ def _robustness(result: DesignResult) -> dict[str, Any]:
         **{
             name: {"gamma_exact": finite(plant.gain), "gain_found": finite(plant.gain_found)}
             for name, plant in robustness.changed.items()
+        },
+        **{
+            name: {"gamma_exact": finite(hinf_norm(plant(motor, 1.0).loop(design.K, design.delay_s)))}
+            for name, motor in coupled.items()
         },
         "noise_to_torque_nm_s_rad": finite(robustness.noise_nm_s_rad),
     }
@@ -213,7 +225,7 @@ class Unreachable(DesignError):
                 "error_percent": request.percent(gamma),
             },
             "best": {
-                "gain": best.K.tolist(),
+                "gain": best.K.tolist()[: 3 if request.way.integral else 2],
                 "gamma": best.gain,
                 "delay_s": best.delay_s,
                 "error_percent": request.percent(best.gain),
@@ -326,6 +338,11 @@ def _largest(model: SpeedModel, request: DesignRequest, gamma: float) -> SpeedDe
 
 
 def _least(model: SpeedModel, request: DesignRequest, delay_s: float) -> SpeedDesign:
+    if request.way.method == "exact" and model.rigid is not None:
+        way, hz = request.way, request.current_bandwidth_hz
+        motors = (request.motor, *couplings_off(request.motor).values())
+        models = [speed_model(motor, way.integral, hz) for motor in motors]
+        return least_gain_over(models, delay_s, way.feedback, way.integral_time_s)
     if request.way.method == "exact":
         return least_gain(model, delay_s, request.way.feedback, request.way.integral_time_s)
     certified = least_certified_gain(model, delay_s, request.way.feedback)
