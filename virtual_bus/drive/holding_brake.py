@@ -32,7 +32,7 @@ class HoldingBrake:
     """Set and released by the drive or its master."""
 
     def __init__(self, dictionary: ObjectDictionary, inner: InnerLoops, drive: FirmwareParameters) -> None:
-        self.waits = drive.brake_waits
+        self.waits, self._close_s = drive.brake_waits, drive.brake_close_s
         self._inner = inner
         self._written = self._mask = 0
         if drive.brake_output:
@@ -67,6 +67,10 @@ class HoldingBrake:
     def opens(self) -> bool:
         """The power stage holds the shaft; whether it may be moved."""
         return bool(self._mask & _SET_BRAKE) or self._inner.brake_holds == 0.0
+
+    def catches(self, stop_rad_s2: float) -> bool:
+        """Whether a stop from the present speed ends before the brake takes hold."""
+        return abs(self._inner.speed_measured_rad_s) <= stop_rad_s2 * self._close_s
 
     def decide(self) -> None:
         """The power stage is switched, or the mask: nobody waits any more."""

@@ -15,6 +15,8 @@ Rules beside the arrows, CiA 402-2 clause 6:
 - Arrow 15 is taken on the rising edge of bit 7 only.
 - A stop that waits to become arrow 5 or 8 is called off by "enable operation".
 - Safe torque off takes arrow 7, 9, 10 or 12 at once and keeps arrow 2 closed.
+- A drive that waits for its brake takes arrow 9 or 12 by the controlword only when the motor rests, if it
+  turns slowly; a faster one coasts.
 """
 
 from collections.abc import Callable
@@ -75,16 +77,22 @@ _ENABLES: Final = 4
 """Arrow to OPERATION_ENABLED."""
 _AFTER_REST: Final = frozenset({5, 8})
 """Arrows that are taken only when the motor rests."""
+_DISABLES: Final = frozenset({9, 12})
+"""Arrows of "disable voltage" from a motor that has torque."""
 _COMMAND_BITS: Final = 0x90
 
 
 class PowerStateMachine:
     """State, and what the motor is to do. ``option`` reads an option code; no time and no I/O in here."""
 
-    def __init__(self, option: Callable[[Object], int], holds_first: bool = False) -> None:
-        """``holds_first``: enabled, the motor is held at rest until :meth:`rested`, before it follows."""
+    def __init__(
+        self, option: Callable[[Object], int], holds_first: bool = False, slow: Callable[[], bool] = bool
+    ) -> None:
+        """``holds_first``: enabled, the motor is held at rest until :meth:`rested`, before it follows, and so
+        it is before it is disabled while it is ``slow``."""
         self._option = option
         self._holds_first = holds_first
+        self._slow = slow
         self.revision = 0
         """Counts every change of ``state``, ``motion`` or ``at_rest``."""
         self.torque_off = False
@@ -127,8 +135,11 @@ class PowerStateMachine:
             return
         bits = controlword & 0x8F
         for arrow in self._open[bits]:
-            self._take(arrow)
-        waits_to_leave = self._waiting is not None and not self.enabling
+            if arrow.number in _DISABLES and self._holds_first and self._slow():
+                self._hold_until(arrow)
+            else:
+                self._take(arrow)
+        waits_to_leave = self._waiting is not None and self.state is State.OPERATION_ENABLED
         if waits_to_leave and DriveCommand.ENABLE_OPERATION in commands_in(bits):
             self._waiting, self.motion = None, MotorAction.FOLLOW
             self.revision += 1
@@ -164,6 +175,15 @@ class PowerStateMachine:
             self.revision += 1
         else:
             self.signal(DriveEvent.QUICK_STOP_DONE)
+
+    def _hold_until(self, arrow: Transition) -> None:
+        """Take the arrow at rest."""
+        if arrow is self._waiting:
+            return
+        self._waiting, self.at_rest = arrow, False
+        if self.motion is MotorAction.FOLLOW:
+            self.motion = MotorAction.QUICK_STOP_RAMP
+        self.revision += 1
 
     def _take(self, arrow: Transition) -> None:
         if arrow is self._waiting:

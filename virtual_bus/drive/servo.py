@@ -83,7 +83,7 @@ class ServoApplication(Application):
         dictionary = services.dictionary
         self.objects = objects = ServoObjects(dictionary, self.motor, self.drive, frozenset(MODES))
         motion = MotionObjects(dictionary, self.motor, self.drive)
-        self.power = PowerStateMachine(objects.option, self.drive.brake_waits)
+        self.power = PowerStateMachine(objects.option, self.drive.brake_waits, self._slow)
         self.brake = HoldingBrake(dictionary, self.firmware.inner, self.drive)
         self._failures = Failures(services, objects.error_code, self.firmware.inner)
         counts = self.drive.encoder_counts_per_revolution
@@ -150,6 +150,9 @@ class ServoApplication(Application):
 
     def advance(self, now: Instant) -> None:
         self._cycle.advance(now)
+
+    def _slow(self) -> bool:
+        return self.brake.catches(self._mode.stop_rad_s2(MotorAction.QUICK_STOP_RAMP))
 
     def _stop_on(self) -> None:
         """The shaft is being brought to rest, and has turned on."""

@@ -148,6 +148,32 @@ def test_a_drive_that_waits_for_its_brake_lets_no_load_sag(waits: bool) -> None:
     assert sag == pytest.approx((0.5 * speed * 0.05 + 0.5 * speed**2 / (3.2 / J)) / math.tau, rel=0.1)
 
 
+@pytest.mark.parametrize("stops_first", [False, True])
+def test_a_host_that_disables_before_the_drives_own_standstill_lets_no_load_sag(stops_first: bool) -> None:
+    """Disable voltage, from a motor that holds its load or amidst its quick stop; at speed it coasts."""
+    bench = braked(brake_waits=True)
+    for word in (0x06, 0x07, ENABLED):
+        bench.control(word)
+    bench.wait_ms(1500)
+    before = bench.turns
+    if stops_first:
+        bench.control(0x02)
+        bench.wait_ms(2)
+    bench.control(0x00)
+    assert not bench.shows(State.SWITCH_ON_DISABLED)
+    closes_ms = bench.wait_until(lambda: bench.state is State.SWITCH_ON_DISABLED, 200)
+    assert 45 <= closes_ms <= 65
+    bench.wait_ms(400)
+    assert abs(before - bench.turns) < 5e-4
+    for word in (0x06, 0x07, ENABLED):
+        bench.control(word)
+    bench.wait_ms(60)
+    bench.speed(20.0)
+    bench.wait_ms(1500)
+    bench.control(0x00)
+    assert bench.shows(State.SWITCH_ON_DISABLED), "a turning shaft is not held"
+
+
 def test_a_drive_that_waits_is_enabled_and_stopped_by_whatever_comes_meanwhile() -> None:
     bench = braked(brake_waits=True)
     for word in (0x06, 0x07, ENABLED):
