@@ -77,6 +77,8 @@ class Friction:
     backward_nm: float
     """c at negative speed; that of the mechanics is at positive."""
     side: Side = Side.MOTOR
+    load_share: float = 0.0
+    """Coulomb friction, of both ways, that each N m of the load torque adds: a gear's."""
 
 
 @dataclass(frozen=True, slots=True)

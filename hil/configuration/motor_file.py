@@ -110,6 +110,9 @@ class FrictionTable(Section):
         default=None, description="Coulomb friction at negative speed, N m; absent: that of [mechanics]"
     )
     side: Literal["motor", "load"] = Field("motor", description="'motor' or 'load': where it acts")
+    load_percent: float = Field(
+        default=0.0, ge=0.0, le=100.0, description="of the load torque, what it adds to Coulomb friction"
+    )
 
     def friction(self, coulomb_nm: float) -> Friction:
         """Beside that Coulomb friction. Error: ValueError for a start that takes less than the motion."""
@@ -117,7 +120,8 @@ class FrictionTable(Section):
         if breakaway_nm < coulomb_nm:
             raise ValueError(f"breakaway_nm of at least mechanics.coulomb_friction_nm, {coulomb_nm:g} N m")
         backward_nm = coulomb_nm if self.backward_nm is None else self.backward_nm
-        return Friction(breakaway_nm, self.stribeck_rpm * RAD_S_PER_RPM, backward_nm, Side(self.side))
+        side, share = Side(self.side), 0.01 * self.load_percent
+        return Friction(breakaway_nm, self.stribeck_rpm * RAD_S_PER_RPM, backward_nm, side, share)
 
 
 class CoggingTable(Section):

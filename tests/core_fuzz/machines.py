@@ -44,7 +44,8 @@ def drawn_mechanism(draw: random.Random, motor: PmsmParameters) -> Mechanism:
         draw.choice([0.0, 1e-5, 0.01]),
         draw.choice(list(Side)),
     )
-    friction = Friction(draw.uniform(0.05, 1.0), draw.uniform(0.01, 50.0), 0.1, draw.choice(list(Side)))
+    side, share = draw.choice(list(Side)), draw.choice([0.0, 0.3, 1.0])
+    friction = Friction(draw.uniform(0.05, 1.0), draw.uniform(0.01, 50.0), 0.1, side, share)
     cogging = (CoggingHarmonic(draw.randrange(1, 100), draw.uniform(0.0, 1.0)),)
     return Mechanism(
         draw.choice([None, coupling]),

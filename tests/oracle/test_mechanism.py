@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from servobench.design.mechanism import CoggingHarmonic, Coupling, Friction, Mechanism, Side
+from servobench.design.mechanism import CoggingHarmonic, Coupling, Friction, Mechanism, PlacedLoad, Side
 from servobench.design.motor import PmsmParameters
 from tests.motors import LING
 from tests.plant import Plant
@@ -236,6 +236,31 @@ def test_the_steady_map_of_friction(speed_rad_s: float, coulomb_nm: float) -> No
     expected = coulomb_nm + more / (1.0 + (middle / 3.0) ** 2) + 0.002 * abs(middle)
     slowed = abs(plant.speed_rad_s - speed_rad_s) / PERIOD_S * motor.inertia_kg_m2
     assert slowed == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize("speed_rad_s", [40.0, -40.0])
+@pytest.mark.parametrize(("hanging_nm", "load_nm"), [(0.0, 0.6), (0.5, 0.6), (0.5, -0.9)])
+def test_a_load_adds_its_share_to_the_friction(speed_rad_s: float, hanging_nm: float, load_nm: float) -> None:
+    """Of what the bench and the load's own place ask together; at rest it holds what it can."""
+    friction, load = Friction(0.1, 3.0, 0.1, load_share=0.2), PlacedLoad(hanging_nm=hanging_nm)
+    motor = replace(DEAD, coulomb_friction_nm=0.1)
+    plant = plant_of(Mechanism(friction=friction, load=load), motor)
+    plant.advance(0.0, 0.0, load_nm)
+    plant.spin(speed_rad_s)
+    plant.advance(0.0, 0.0, load_nm)
+    asked_nm = hanging_nm + load_nm
+    expected = -asked_nm - math.copysign(0.1 + 0.2 * abs(asked_nm), speed_rad_s)
+    found = (plant.speed_rad_s - speed_rad_s) / PERIOD_S * motor.inertia_kg_m2
+    assert found == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_gear_that_rubs_by_its_load_holds_a_weight() -> None:
+    """With more friction for each N m than that N m pulls."""
+    for share, falls in ((1.01, False), (0.99, True)):
+        mechanism = Mechanism(friction=Friction(0.0, 3.0, 0.0, load_share=share))
+        plant = plant_of(mechanism, replace(DEAD, coulomb_friction_nm=0.0))
+        plant.advance(0.0, 0.0, 0.5, periods=1600)
+        assert (plant.speed_rad_s != 0.0) is falls
 
 
 def test_breakaway_holds_the_shaft_and_lets_go_beyond() -> None:

@@ -468,6 +468,7 @@ static PyMemberDef members[] = {
     PARAMETER(mechanism, half_backlash_rad),
     PARAMETER(mechanism, yield_s),
     PARAMETER(mechanism, backward_more_nm),
+    PARAMETER(mechanism, rubs_per_load),
     PARAMETER(mechanism, breakaway_more_nm),
     PARAMETER(mechanism, per_stribeck),
     {"placed_load", T_INT, PLACE(mechanism.placed.active), 0, NULL},

@@ -136,10 +136,12 @@ static Sited sited_at(const Machine *s, double angle, double load_rad, double lo
     return sited;
 }
 
-static Pair sited_nm(const Machine *s, const Sited *sited)
+static double asked_nm(const Machine *s, const Sited *sited)
 {
-    return onto(s, sited->cogs_nm, -(sited->asked.rest_nm + s->m->placed.arm_nm * sited->asked.arm_sine));
+    return sited->asked.rest_nm + s->m->placed.arm_nm * sited->asked.arm_sine;
 }
+
+static Pair sited_nm(const Machine *s, const Sited *sited) { return onto(s, sited->cogs_nm, -asked_nm(s, sited)); }
 
 /* Of the end stop that the load is at. */
 static __attribute__((noinline)) Pair stop_nm(const Machine *s, const Phase *phase, const Motion *x)
@@ -429,8 +431,8 @@ static void substep(const Machine *s, Motion *x, Sited *sited, double h)
     }
 }
 
-/* What rubs on rotor and load. `brake_nm`: on the rotor. */
-static void rub(Machine *s, double brake_nm, int side)
+/* What rubs on rotor and load. `brake_nm`: on the rotor; `rubs_nm`: by what the load asks. */
+static void rub(Machine *s, double brake_nm, double rubs_nm, int side)
 {
     const MotorParameters *p = s->p;
     const Mechanism *m = s->m;
@@ -440,6 +442,8 @@ static void rub(Machine *s, double brake_nm, int side)
     f->forward_nm += p->coulomb_friction_nm;
     f->backward_nm += p->coulomb_friction_nm + m->backward_more_nm;
     f->breakaway_more_nm = m->breakaway_more_nm;
+    f->forward_nm += rubs_nm;
+    f->backward_nm += rubs_nm;
     for (int mass = ROTOR; mass < MASSES; mass++) {
         f = &s->friction[mass];
         s->rubs[mass] = f->forward_nm != 0.0 || f->backward_nm != 0.0 || f->breakaway_more_nm != 0.0;
@@ -456,8 +460,14 @@ static void make_machine(Machine *s, const MotorParameters *p, const Mechanism *
     s->viscous = on_load ? (Pair){0.0, viscous} : (Pair){viscous, 0.0};
     s->load_nm = onto(s, 0.0, load_nm);
     s->rubs[ROTOR] = s->rubs[LOAD] = false;
-    if (brake_nm != 0.0 || p->coulomb_friction_nm != 0.0 || m->backward_more_nm != 0.0 || m->breakaway_more_nm != 0.0)
-        rub(s, brake_nm, on_load ? LOAD : ROTOR);
+    double rubs_nm = 0.0;
+    if (m->rubs_per_load != 0.0) {
+        const Sited at = {s->load->cogs_nm, s->load->asked}; /* of the last period's end */
+        rubs_nm = m->rubs_per_load * fabs(load_nm + asked_nm(s, &at));
+    }
+    if (brake_nm != 0.0 || p->coulomb_friction_nm != 0.0 || m->backward_more_nm != 0.0 || m->breakaway_more_nm != 0.0
+        || rubs_nm != 0.0)
+        rub(s, brake_nm, rubs_nm, on_load ? LOAD : ROTOR);
     s->falls = m->breakaway_more_nm != 0.0;
     s->placed = placed || stops;
     s->sited = placed || m->cogging_points > 0;
@@ -502,11 +512,11 @@ void advance_machine(MotorState *state, LoadSide *load, const MotorParameters *p
         return;
     }
     Machine s;
+    s.load = load;
     make_machine(&s, p, mechanism, load_nm, brake_nm);
     s.live = voltage.live;
     s.turning = voltage.turning;
     s.angle_rad = state->angle_rad;
-    s.load = load;
     if (s.placed)
         place_load(&s, state);
     Motion x = {

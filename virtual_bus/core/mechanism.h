@@ -18,6 +18,7 @@ typedef struct Mechanism {
     double backward_more_nm;  /* Coulomb friction at negative speed, above that at positive */
     double breakaway_more_nm; /* friction at rest, above Coulomb's */
     double per_stribeck;      /* s/rad */
+    double rubs_per_load;     /* Coulomb friction that each N m of the load adds */
     const double *cogging_nm; /* over a turn of the rotor, the first point once more behind the last */
     int cogging_points;       /* 0: no cogging */
     double cogging_per_rad;   /* points */

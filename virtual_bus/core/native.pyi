@@ -106,6 +106,8 @@ class InnerLoops:
     """Damping over stiffness."""
     backward_more_nm: float
     """Coulomb friction at negative speed, above that at positive."""
+    rubs_per_load: float
+    """Coulomb friction that each N m of the load adds."""
     breakaway_more_nm: float
     per_stribeck: float
     """s/rad."""

@@ -66,6 +66,7 @@ def _couple(inner: InnerLoops, coupling: Coupling) -> None:
 
 def _rub(inner: InnerLoops, motor: PmsmParameters, friction: Friction) -> None:
     inner.friction_on_load = friction.side is Side.LOAD
+    inner.rubs_per_load = friction.load_share
     inner.backward_more_nm = friction.backward_nm - motor.coulomb_friction_nm
     inner.breakaway_more_nm = friction.breakaway_nm - motor.coulomb_friction_nm
     inner.per_stribeck = 1.0 / friction.stribeck_rad_s
