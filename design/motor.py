@@ -28,6 +28,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +53,11 @@ class Heat:
 
     resistance_factor: float
     flux_factor: float
+    winding_c: float = 20.0
+
+
+UNHEATED: Final = Heat(1.0, 1.0)
+"""A motor whose file names no temperature."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -207,4 +207,5 @@ class TemperatureTable(Section):
         return Heat(
             at_temperature(1.0, self.sheet_c, self.winding_c),
             1.0 + self.magnet_percent_k / 100.0 * (self.magnet_c - self.sheet_c),
+            self.winding_c,
         )

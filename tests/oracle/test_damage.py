@@ -10,11 +10,12 @@ import pytest
 
 from servobench import run
 from servobench.design.mechanism import Coupling, Mechanism
+from servobench.design.motor import Heat
 from servobench.drivers.errors import DriveInFault
-from servobench.drivers.timebase import NS_PER_S, Instant
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
 from servobench.hil.configuration.bench_file import Bench
 from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
-from servobench.virtual_bus.drive.power_stage import Chopper, Supply
+from servobench.virtual_bus.drive.power_stage import Chopper, Protection, Supply, Trip
 from tests.motors import LING
 from tests.oracle.test_power_stage import HEAVY, RESISTOR_TABLE, SUPPLY, stopped
 from tests.scenario.processes import EXAMPLES
@@ -147,6 +148,18 @@ def test_without_its_resistor_a_link_takes_all_that_braking_returns() -> None:
     firmware.damage.open_chopper(False)
     go_to(2.5)
     assert firmware.inner.link_v <= 360.0
+
+
+@pytest.mark.parametrize(("winding_c", "trip"), [(139.0, Trip.NONE), (141.0, Trip.MOTOR_HOT)])
+def test_a_sensor_tells_the_winding_of_the_file_and_again_after_a_fault(winding_c: float, trip: Trip) -> None:
+    motor = replace(LING, heat=Heat(1.4, 0.95, winding_c))
+    firmware = Firmware(motor, FirmwareParameters(protection=Protection(winding_max_c=140.0)))
+    firmware.start(Instant(0))
+    firmware.advance_to(Instant(10 * NS_PER_MS))
+    assert firmware.inner.trip == trip
+    firmware.damage.heat_motor(1.2, 0.9, 139.5)
+    firmware.damage.heat_motor(1.0, 1.0)
+    assert firmware.inner.winding_c == winding_c
 
 
 CHOPPED = {"supply": {**SUPPLY, "chopper": RESISTOR_TABLE}, "protection": {"over_voltage_v": 400.0}}

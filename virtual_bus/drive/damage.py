@@ -1,13 +1,8 @@
 """What breaks or wears in a simulated drive and its machine while they run: the faults of a plan that are
 physical. Nothing here raises a fault of the drive: its own protection, or its master, has to find it."""
 
-from typing import Final
-
-from servobench.design.motor import PmsmParameters
+from servobench.design.motor import UNHEATED, PmsmParameters
 from servobench.virtual_bus.core.native import InnerLoops
-
-_SHEET_C: Final = 20.0
-"""Temperature of a winding that nobody has heated."""
 
 
 class Damage:
@@ -21,7 +16,8 @@ class Damage:
         self._stiffness_nm_rad, self._damping_nm_s = inner.stiffness_nm_rad, inner.damping_nm_s
         self._half_backlash_rad = inner.half_backlash_rad
         self._magnet_a = inner.saturation_magnet_a
-        inner.winding_c = _SHEET_C
+        self._winding_c = UNHEATED.winding_c if machine.heat is None else machine.heat.winding_c
+        inner.winding_c = self._winding_c
 
     def open_chopper(self, opened: bool) -> None:
         """The braking resistor's line is broken: switched on, it takes nothing."""
@@ -45,10 +41,13 @@ class Damage:
         self._inner.dirt_width = round(to_turn * counts) - self._inner.dirt_from
         self._inner.encoder_loses = 1
 
-    def heat_motor(self, resistance_factor: float, flux_factor: float, winding_c: float = _SHEET_C) -> None:
-        """Resistance and flux of the turning motor are so many times as large as cold."""
+    def heat_motor(
+        self, resistance_factor: float, flux_factor: float, winding_c: float | None = None
+    ) -> None:
+        """Resistance and flux of the turning motor are so many times as large as its file has them;
+        ``winding_c``: None is that of the file."""
         inner, motor = self._inner, self._motor
         inner.resistance_ohm = resistance_factor * motor.resistance_ohm
         inner.flux_linkage_wb = flux_factor * motor.flux_linkage_wb
         inner.saturation_magnet_a = flux_factor * self._magnet_a
-        inner.winding_c = winding_c
+        inner.winding_c = self._winding_c if winding_c is None else winding_c

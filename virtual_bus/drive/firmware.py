@@ -18,7 +18,7 @@ from enum import Enum
 from typing import Final
 
 from servobench.design.iron import Iron
-from servobench.design.motor import Heat, PmsmParameters
+from servobench.design.motor import UNHEATED, PmsmParameters
 from servobench.design.statespace import StateSpace
 from servobench.drivers.timebase import NS_PER_S, Instant
 from servobench.virtual_bus.core.native import InnerLoops
@@ -254,7 +254,7 @@ class Firmware:
         if (motor.transform, motor.pole_pairs) != (self.motor.transform, self.motor.pole_pairs):
             known = f"{self.motor.pole_pairs} pole pairs, {self.motor.transform.value}"
             raise ValueError(f"{motor.name}: {known} expected, as the drive was set for")
-        heat = motor.heat or Heat(1.0, 1.0)
+        heat = motor.heat or UNHEATED
         return replace(
             motor,
             flux_linkage_wb=motor.flux_linkage_wb * heat.flux_factor,
