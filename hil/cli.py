@@ -45,6 +45,7 @@ from servobench.hil.terminal.docs import docs
 from servobench.hil.terminal.eds import eds
 from servobench.hil.terminal.export import export
 from servobench.hil.terminal.fault import fault
+from servobench.hil.terminal.fit import fit
 from servobench.hil.terminal.init import init
 from servobench.hil.terminal.measure import measure
 from servobench.hil.terminal.motor import motor
@@ -284,7 +285,7 @@ def doctor(as_json: JsonOption = False) -> None:
 
 add_commands(app, init, simulate, presets, doctor, docs, panel="Run")
 add_commands(app, scan, trace, fault, stop, eds, adapter, panel="Inspect")
-add_commands(app, commission, measure, restore, rehearse, panel="Commission")
+add_commands(app, commission, measure, fit, restore, rehearse, panel="Commission")
 add_commands(app, view, why, review, runs, compare, picture, export, recover, panel="Review")
 app.add_typer(campaign, rich_help_panel="Run")
 app.add_typer(params, rich_help_panel="Inspect")

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from servobench.hil.loop.samples import Sample, StateEstimate
     from servobench.hil.testing.one_run import run
     from servobench.hil.testing.run import Run
+    from servobench.hil.twin.twin import Twin, fit
 
 _HOMES = {
     "drivers.cia402.profile": ("State",),
@@ -69,6 +70,7 @@ _HOMES = {
     "hil.loop.samples": ("Sample", "StateEstimate"),
     "hil.testing.one_run": ("run",),
     "hil.testing.run": ("Run",),
+    "hil.twin.twin": ("Twin", "fit"),
 }
 
 __all__ = [
@@ -98,7 +100,9 @@ __all__ = [
     "State",
     "StateEstimate",
     "TorqueSetPoint",
+    "Twin",
     "campaign",
+    "fit",
     "run",
 ]
 

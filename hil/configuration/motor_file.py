@@ -1,7 +1,8 @@
 """Motor files: the parameters of a PMSM in TOML, turned into
 :class:`servobench.design.motor.PmsmParameters`, and the mechanism between rotor and load: ``[coupling]``,
 ``[friction]``, ``[[cogging]]``, ``[load]`` and ``[switches]``; ``[saturation]`` and ``[temperature]`` are in
-:mod:`servobench.hil.configuration.motor_tables`.
+:mod:`servobench.hil.configuration.motor_tables`, and ``[twin]``, in
+:mod:`servobench.hil.configuration.twin_table`, says what all of it rests on.
 """
 
 import math
@@ -37,6 +38,7 @@ from servobench.hil.configuration.quantities import (
     ViscousFriction,
     Voltage,
 )
+from servobench.hil.configuration.twin_table import TwinTable
 
 RESONANCE_MAX_HZ = 5000.0
 """A simulated period is cut into steps by the resonance: 20 of them at 16 kHz."""
@@ -206,6 +208,7 @@ class MotorFile(FromPreset):
     switches: SwitchesTable | None = Field(default=None, description="the table [switches]")
     saturation: SaturationTable | None = Field(default=None, description="the table [saturation]")
     temperature: TemperatureTable | None = Field(default=None, description="the table [temperature]")
+    twin: TwinTable | None = Field(default=None, description="the table [twin]")
 
     @field_validator("saturation")
     @classmethod

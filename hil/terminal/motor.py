@@ -134,14 +134,17 @@ def show(
     """
     from servobench.design.motor import motor_figures
 
-    parameters, field = motor_file(path).parameters, None
+    file, field = motor_file(path), None
+    parameters = file.parameters
     if like is not None:
         from servobench.drivers.bounded_file import NamedBy
         from servobench.hil.configuration.drive_model import load_drive_model
 
         drive = load_drive_model(like, NamedBy("--like", "", str(like)))
         parameters, field = drive.runs(parameters), drive.field.parameters
-    put({"name": parameters.name, **motor_figures(parameters)}, as_json, _print)
+    figures = {"name": parameters.name, **motor_figures(parameters)}
+    twin = {} if file.twin is None else {"twin": file.twin.model_dump(mode="json", exclude_none=True)}
+    put(figures | twin, as_json, _print)
     if picture is not None:
         from servobench.hil.studies.motor.drawing import draw_motor
 
@@ -154,8 +157,27 @@ def _print(figures: dict[str, Any]) -> None:
 
     table = columns("figure", "value", right=("value",))
     for key, value in figures.items():
-        table.add_row(key, value if isinstance(value, str) else f"{value:.5g}")
+        if key != "twin":
+            table.add_row(key, value if isinstance(value, str) else f"{value:.5g}")
     Console().print(table)
+    if "twin" in figures:
+        _print_twin(figures["twin"])
+
+
+def _print_twin(twin: dict[str, Any]) -> None:
+    """Print what a fit found of the motor, and where it holds."""
+    from rich.console import Console
+
+    table = columns("twin", "value", "k = 2", "source", right=("value", "k = 2"))
+    for key in twin["key"]:
+        width = f"{key['uncertainty']:.2g}" if "uncertainty" in key else ""
+        table.add_row(key["name"], f"{key['value']:.7g}", width, key["source"])
+    Console().print(table)
+    low, high = twin["speed_rpm"]
+    weakest, strongest = twin["torque_nm"]
+    windows = sum(each["windows"] for each in twin["recording"] if not each["held_out"])
+    basis = f"{windows} windows of {len(twin['recording'])} recordings"
+    typer.echo(f"holds from {low:g} to {high:g} r/min and {weakest:g} to {strongest:g} N m; by {basis}")
 
 
 _with_figures()

@@ -1,0 +1,1 @@
+"""A twin: the simulated drive fitted to recordings of a real one."""

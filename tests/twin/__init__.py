@@ -1,0 +1,1 @@
+"""Hidden drives, drawn, recorded and fitted: does k = 2 hold?"""

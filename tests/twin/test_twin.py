@@ -1,0 +1,95 @@
+"""A twin finds a drive that it has not seen, says how well, and what it does not know."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from servobench import BadInput, Run, fit, run
+from servobench.drivers.bounded_file import parse_toml
+from servobench.hil.cli import app
+from servobench.hil.configuration.motor_file import MotorFile
+from tests.twin.drawn import Hidden, hidden_drive
+
+SPEED = "reference.axis1.speed_rpm"
+
+
+def hil(*words: str) -> str:
+    result = CliRunner().invoke(app, list(words))
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def recorded(hidden: Hidden, duration_s: float = 8.0, **changes: Any) -> Run:
+    tables = {"bench.duration_s": duration_s, **changes}
+    return run(hidden.bench, tables, signals={SPEED: hidden.speed_rpm})
+
+
+def test_k_2_holds_hidden_drives_and_predicts_runs_that_were_not_fitted() -> None:
+    inside = together = 0
+    for seed in (2007, 2017):  # losses both ways, delays
+        hidden = hidden_drive(seed)
+        other = run(hidden.bench, {"bench.duration_s": 3.0}, signals={SPEED: hidden.held_out_rpm})
+        start = MotorFile.model_validate(hidden.start)
+        twin = fit(recorded(hidden), start=start, hold_out=other, bootstrap=8)
+        assert twin.held_out_ratio is not None
+        assert twin.held_out_ratio < 1.2
+        for name, truth in hidden.truth.items():
+            key = twin.keys[name]
+            assert key.uncertainty is not None
+            together += 1
+            inside += abs(key.value - truth) <= key.uncertainty
+        inertia = twin.keys["mechanics.inertia_kg_m2"]
+        assert inertia.value == pytest.approx(hidden.truth[inertia.name], rel=2e-3)
+    assert inside >= together - 1
+
+
+def test_what_a_recording_does_not_show_keeps_the_starts_value_and_says_so() -> None:
+    hidden = hidden_drive(3)
+    slow = 0.1 * hidden.motor["rating"]["speed_rpm"]
+    one_way = run(
+        hidden.bench, {"bench.duration_s": 4.0}, signals={SPEED: lambda t: slow * min(1.0, 4.0 * t)}
+    )  # a steady speed one way: friction and weight look alike, and nothing accelerates
+    start = MotorFile.model_validate(hidden.start)
+    keys = fit(one_way, start=start).keys
+    undetermined = [key for key in keys.values() if key.source == "not determined"]
+    assert undetermined
+    assert all(key.uncertainty is None for key in undetermined)
+    assert {"load.hanging_nm", "mechanics.coulomb_friction_nm", "mechanics.viscous_friction_nm_s"} & {
+        key.name for key in undetermined
+    }
+
+
+def test_the_command_writes_a_motor_file_that_a_bench_runs_and_motor_show_prints(
+    tmp_path: Path,
+) -> None:
+    hidden = hidden_drive(5)
+    name = "reference.axis1.speed_rpm"
+    run(hidden.bench, {"bench.duration_s": 4.0}, signals={name: hidden.speed_rpm}, record=tmp_path / "rec")
+    out = tmp_path / "twin.toml"
+    told = hil("fit", str(tmp_path / "rec"), "--out", str(out), "--fix", "twin.speed_filter_hz", "--json")
+    figures = json.loads(told)
+    assert figures["keys"]["twin.speed_filter_hz"]["source"] == "fixed"
+    tables = parse_toml(out.read_text(), str(out))
+    assert "resistance_ohm" not in {key["name"] for key in tables["twin"]["key"]}
+    assert len(tables["twin"]["covariance"]) == 5
+    again = run(
+        hidden.bench,
+        {"bench.duration_s": 0.5, "drive.axis1.motor": tables},
+        signals={name: hidden.speed_rpm},
+    )
+    assert again.config.drive["axis1"].motor.twin is not None
+    shown = hil("motor", "show", str(out))
+    assert "mechanics.inertia_kg_m2" in shown
+    assert "fixed" in shown
+
+
+def test_what_cannot_be_fitted_is_refused_with_its_cure() -> None:
+    hidden = hidden_drive(5)
+    short = recorded(hidden, 0.5)
+    with pytest.raises(BadInput, match="one of mechanics"):
+        fit(short, fixed=["motor.resistance_ohm"])
+    with pytest.raises(BadInput, match="record longer"):
+        fit(short)
