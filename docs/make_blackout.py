@@ -58,7 +58,7 @@ def main() -> None:
                 ends = WINDOW_S + number * STEP_S
                 viewer.look_at(ends - WINDOW_S, ends)
                 frames.append(plots(viewer.picture()))
-    palette = frames[-1].quantize(COLORS, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    palette = frames[-1].quantize(COLORS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
     drawn = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     times = [PAUSE_MS] * (len(drawn) - 1) + [LAST_MS]
     out = ROOT / "docs" / "blackout.gif"
