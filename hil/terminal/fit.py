@@ -50,7 +50,7 @@ def fit(
     Examples:
       hil fit runs/monday --out twin.toml
       hil fit runs/monday --hold-out runs/tuesday --out twin.toml
-      hil fit runs/monday --start sheet.toml --bootstrap 20 --out twin.toml
+      hil fit runs/monday --start motor.toml --bootstrap 20 --out twin.toml
     """
     from servobench.drivers.written_file import write_file
     from servobench.hil.twin.fitting import fit_recordings
