@@ -91,7 +91,7 @@ def _print(found: "Fit") -> None:
     from rich.console import Console
 
     from servobench.drivers.rotation import RPM_PER_RAD_S
-    from servobench.hil.twin.twin_file import NOT_FITTED, key_text
+    from servobench.hil.twin.twin_file import NOT_FITTED, key_text, left_out_of_start
 
     speed, position, torque = found.spread
     lines = {key.name: key_text(key) for key in found.keys}
@@ -102,3 +102,5 @@ def _print(found: "Fit") -> None:
         lines["held out"] = f"{found.held_out_ratio:.3g} of that"
     Console(soft_wrap=True).print(titled(lines))
     echo(f"Not fitted: {NOT_FITTED}.")
+    if left_out := left_out_of_start(found):
+        echo(f"Left out of the start, as the twin is rigid: {', '.join(left_out)}.")

@@ -20,6 +20,8 @@ NOT_FITTED: Final = (
     "resistance, inductances, flux and temperatures are the start's: a recording without voltages shows none"
 )
 """What the twin says of itself, in its file and on a terminal."""
+_NOT_RIGID: Final = ("coupling", "cogging")
+"""Tables of a motor file that a rigid twin has not."""
 _DIGITS: Final = 9
 _COVARIANCE_DIGITS: Final = 6
 _POWER_SHARE: Final = 0.99
@@ -44,8 +46,7 @@ def motor_file_of(fit: Fit) -> MotorFile:
             "mechanics": mechanics,
             "load": None if load == LoadTables() else load,
             "friction": _moved(start.friction, coulomb - start.mechanics.coulomb_friction_nm),
-            "coupling": None,
-            "cogging": None,
+            **dict.fromkeys(_NOT_RIGID),
             "twin": _twin(fit),
         }
     ).tables
@@ -56,6 +57,11 @@ def motor_text(fit: Fit) -> str:
     """Return the file."""
     head = f"# A twin of a drive, by hil fit: {NOT_FITTED}.\n\n"
     return head + toml_text(motor_file_of(fit).tables)
+
+
+def left_out_of_start(fit: Fit) -> list[str]:
+    """Return the tables of the start that the twin lacks, as it is rigid."""
+    return [name for name in _NOT_RIGID if getattr(fit.start, name)]
 
 
 def fit_json(fit: Fit) -> dict[str, Any]:
@@ -76,6 +82,7 @@ def fit_json(fit: Fit) -> dict[str, Any]:
         "left": dict(zip(("speed_rad_s", "position_rad", "torque_nm"), fit.spread, strict=True)),
         "twin": twin.model_dump(mode="json", exclude_none=True, exclude={"key"}),
         "not_fitted": NOT_FITTED,
+        "left_out_of_start": left_out_of_start(fit),
     }
 
 

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 from servobench import BadInput, Run, fit, run
 from servobench.drivers.bounded_file import parse_toml
 from servobench.hil.cli import app
+from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.configuration.motor_file import MotorFile
 from tests.twin.drawn import Hidden, hidden_drive
 
@@ -81,6 +82,14 @@ def test_the_command_writes_a_motor_file_that_a_bench_runs_and_motor_show_prints
         signals={name: hidden.speed_rpm},
     )
     assert again.config.drive["axis1"].motor.twin is not None
+    assert figures["left_out_of_start"] == []
+    coupled = tmp_path / "coupled.toml"
+    coupling = "[coupling]\ninertia_ratio = 1.0\nantiresonance_hz = 150.0\n"
+    kept = {key: value for key, value in hidden.start.items() if key != "load"}
+    coupled.write_text(f"{toml_text(kept)}\n{coupling}")
+    told = hil("fit", str(tmp_path / "rec"), "--start", str(coupled), "--out", str(tmp_path / "rigid.toml"))
+    assert "Left out of the start, as the twin is rigid: coupling." in told
+    assert "coupling" not in parse_toml((tmp_path / "rigid.toml").read_text(), "rigid.toml")
     shown = hil("motor", "show", str(out))
     assert "mechanics.inertia_kg_m2" in shown
     assert "fixed" in shown
