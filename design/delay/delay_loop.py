@@ -30,7 +30,6 @@ from enum import Enum
 from typing import Final
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from servobench.design.mechanism import Coupling, Side
@@ -335,10 +334,12 @@ def peak_floor_rad_s(motor: PmsmParameters, delay_s: float) -> float:
     """
     model = speed_model(motor)
     if model.rigid is not None:
+        from scipy.linalg import expm  # an extra, that a run does without
+
         n = len(model.A)
         stepped = np.zeros((n + 1, n + 1))
         stepped[:n, :n], stepped[:n, n] = model.A, model.B2
-        step = scipy.linalg.expm(stepped * delay_s / _FLOOR_STEPS)
+        step = expm(stepped * delay_s / _FLOOR_STEPS)
         x, largest = np.append(np.zeros(n), 1.0), 0.0
         for _ in range(_FLOOR_STEPS):
             x = step @ x
