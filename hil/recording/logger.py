@@ -86,9 +86,6 @@ def open_keepers(plan: RecordingPlan, review: Review) -> list[Keeper]:
 
 _DRAIN_PERIOD_S = 0.1
 """So often a live view moves; the ring of rows holds a minute of 1 kHz."""
-_UNSEEN_PERIOD_S = 0.5
-"""The same where time is real and nobody looks: a drain costs nearly as much for 100 rows as for 500. To the
-disk they come by the flush, once a second."""
 _FLUSH_PERIOD_NS = NS_PER_S
 _BUSY_ROWS = 2_000
 """A drain that finds more than this is followed by the next one at once: simulated time is fast."""
@@ -143,15 +140,14 @@ class Logger:
     def run(self, source: LineReader) -> Summary:
         """Drain until the outcome comes, or the writer is gone; then finish."""
         outcome: RunOutcome | None = None
-        seen = self._plan.view or self._plan.served is not None or not self._plan.real_time
-        period_s = wait_s = _DRAIN_PERIOD_S if seen else _UNSEEN_PERIOD_S
+        wait_s = _DRAIN_PERIOD_S
         while outcome is None and not source.ended:
             line = source.line(wait_s)
             if line == CONFIRM:
                 self._confirm()
             elif line is not None:
                 outcome = from_plain(RunOutcome, json.loads(line))
-            wait_s = 0.0 if self._drain() > _BUSY_ROWS else period_s
+            wait_s = 0.0 if self._drain() > _BUSY_ROWS else _DRAIN_PERIOD_S
             if self._clock.now() - self._flushed_at >= _FLUSH_PERIOD_NS:
                 self._flush()
         self._drain(at_end=True)
