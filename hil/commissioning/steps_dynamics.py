@@ -124,9 +124,19 @@ class Response(Step):
         limits, rigid = session.limits, session.mechanics.inertia_kg_m2 * math.tau * rise.near_hz
         swinging_nm = 0.3 * _BASE_SHARE * limits.speed_rad_s * rigid / rise.ratio
         largest_nm = min(_LARGER * usual_nm, 6.0 * swinging_nm)
-        large, small = (
-            resonance_of(_measured(session, lines, share * largest_nm), period_s) for share in (1.0, _SMALLER)
+        looks = [_measured(session, lines, share * largest_nm) for share in (1.0, _SMALLER)]
+        coherence = min(float(np.quantile(look.coherence, 0.25)) for look in looks)
+        large, small = (resonance_of(look, period_s) for look in looks)
+        session.found.resonance = max(
+            filter(None, (large, small)), key=lambda each: each.magnitude, default=None
         )
+        if coherence < _COHERENT:
+            outcome.say(
+                f"near {rise.near_hz:.0f} Hz a quarter of the lines have a coherence below "
+                f"{coherence:.2f}: the shaft does not answer in proportion to the torque, as behind a "
+                "coupling with play"
+            )
+            return
         if large is None or small is None:
             outcome.say(f"near {rise.near_hz:.0f} Hz no resonance of two masses fits")
             return
@@ -143,7 +153,6 @@ class Response(Step):
                 f"resonance at {large.frequency_hz:.4g} Hz, damping {100.0 * large.damping_ratio:.2g} %"
             )
             outcome.figures |= {"resonance_hz": large.frequency_hz, "damping_ratio": large.damping_ratio}
-        session.found.resonance = max(large, small, key=lambda each: each.magnitude)
 
 
 def _measured(session: Session, lines: Array, amplitude_nm: float) -> FrequencyResponse:

@@ -1,6 +1,7 @@
 """A twin finds a drive that it has not seen, says how well, and what it does not know."""
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,13 @@ def test_k_2_holds_hidden_drives_and_predicts_runs_that_were_not_fitted() -> Non
         hidden = hidden_drive(seed)
         other = run(hidden.bench, {"bench.duration_s": 3.0}, signals={SPEED: hidden.held_out_rpm})
         start = MotorFile.model_validate(hidden.start)
-        twin = fit(recorded(hidden), start=start, hold_out=other, bootstrap=8)
+        recording = recorded(hidden)
+        twin = fit(recording, start=start, hold_out=other, bootstrap=8)
+        alone = fit(recording, start=start).keys
+        widths = {name: (key.uncertainty, alone[name].uncertainty) for name, key in twin.keys.items()}
+        wider = [(has or 0.0) / (had or math.inf) for has, had in widths.values()]
+        assert min(wider) >= 0.999
+        assert max(wider) > 1.2, "what repeats in all windows is in no sandwich"
         assert twin.held_out_ratio is not None
         assert twin.held_out_ratio < 1.2
         for name, truth in hidden.truth.items():
