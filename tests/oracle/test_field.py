@@ -137,6 +137,15 @@ def test_without_load_the_d_current_is_that_of_the_closed_form(share: float) -> 
     assert abs(inner.current_q_a) < 0.02 * motor.current_max_a
 
 
+def test_no_step_turns_the_field_by_more_than_a_quarter_of_a_radian() -> None:
+    motor = replace(MOTORS["ling2012"], rated_speed_rad_s=100.0, pole_pairs=8)
+    steps_s = {}
+    for speed_rad_s in (50.0, 600.0):
+        steps_s[speed_rad_s] = spun(motor, speed_rad_s, 0.0, WEAKENING).inner.step_s
+        assert steps_s[speed_rad_s] * motor.pole_pairs * speed_rad_s <= 0.25
+    assert steps_s[600.0] < steps_s[50.0]
+
+
 def test_a_shaft_runs_up_beyond_its_speed_without_load_and_back() -> None:
     motor = replace(MOTORS["ling2012"], inertia_kg_m2=2e-3)
     no_load = motor.voltage_max_v / (motor.pole_pairs * motor.flux_linkage_wb)
