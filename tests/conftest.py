@@ -5,10 +5,15 @@ One that failed while the machine did not (see :mod:`tests.stillness`) says noth
 three times in all. A failure on a machine that kept its time stands; so does what was told wrongly, however
 late all were. Beside other workers these tests are in the first, which `make test` lets go before the others.
 
+A test that its time-out does not end (it waits where no signal is heard, or swallows what is raised) would
+hold up the whole run without a word: a thread of C prints where every thread stands, and ends the worker. So
+ends a worker that does not come to its own end.
+
 An emulated machine (SERVOBENCH_EMULATED: User Mode Linux, QEMU) may stand still in all three tries. A few
 tests for which it did are left out, by name; what more there are fail, as what is broken does.
 """
 
+import faulthandler
 import os
 import signal
 import sys
@@ -27,12 +32,16 @@ pytest.register_assert_rewrite("tests.contract", "tests.scenario", "tests.truth"
 
 TRIES = 3
 LEFT_OUT_MAX = 3
+GRACE_S = 60.0
+"""What clearing up after a time-out may take, beside other work, before the worker is ended."""
 REAL_TIME = "real time"
 UNIT = Path(__file__).parent / "unit"
 ON_LINUX = {Path(__file__).parent / each for each in ("can", "vcan")}
 _witness: Witness | None = None
 """One for each worker, made when it is first needed."""
 _left_out: list[str] = []
+_errors_to: list[int] = []
+"""Standard error as it is outside of a test, whose own is captured."""
 _ORDER = pytest.StashKey[tuple[bool, bool]]()
 """Of a test: whether it needs no real time, and whether it is a quick unit test."""
 
@@ -42,6 +51,7 @@ def pytest_configure() -> None:
 
     And CliRunner would make all commands of ``hil`` anew for each that it is asked for.
     """
+    _errors_to.append(os.dup(2))
     vars(typer.testing)["_get_command"] = cache(typer.main.get_command)
     for number, handler in ((signal.SIGHUP, signal.SIG_DFL), (signal.SIGINT, signal.default_int_handler)):
         if signal.getsignal(number) == signal.SIG_IGN:
@@ -76,10 +86,34 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
         scheduler.assigned_work = dict(by_name)
         schedule()
 
-    scheduler.schedule = begin_with_the_first
+    remove_node = scheduler.remove_node
+
+    def remove_with_its_test(node: Any) -> str | None:
+        pending = (
+            (unit, test) for unit in scheduler.assigned_work[node].values() for test in unit if not unit[test]
+        )
+        unit, crashed = next(pending, (None, None))
+        if unit is not None:
+            unit[crashed] = True  # else the test that ended its worker is handed to the next one, for ever
+        remove_node(node)
+        return crashed
+
+    scheduler.schedule, scheduler.remove_node = begin_with_the_first, remove_with_its_test
     # a test without a group is a scope of its own there
     scheduler._split_scope = lambda node_id: group_of(node_id).partition("::")[0]
     return scheduler
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """A worker that a test does not give back is ended, once it has had the time of all its tries."""
+    marker = item.get_closest_marker("timeout")
+    limit_s = float(marker.args[0] if marker else item.config.getini("timeout"))
+    _end_after(item.config, limit_s * (TRIES if _is_in_real_time(item) else 1) + GRACE_S)
+    try:
+        return (yield)
+    finally:
+        faulthandler.cancel_dump_traceback_later()
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
@@ -121,8 +155,10 @@ def pytest_runtest_teardown(item: pytest.Item) -> None:
         end_what_is_left()
 
 
-def pytest_sessionfinish() -> None:
+def pytest_sessionfinish(session: pytest.Session) -> None:
     """Nothing is left running."""
+    if hasattr(session.config, "workerinput"):
+        _end_after(session.config, 2 * GRACE_S)
     if _witness is not None:
         _witness.stop()
 
@@ -135,6 +171,11 @@ def forked_children() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "executable", python())
         yield
+
+
+def _end_after(config: pytest.Config, seconds: float) -> None:
+    if not config.getoption("usepdb"):
+        faulthandler.dump_traceback_later(seconds, file=_errors_to[0], exit=True)
 
 
 def _is_in_real_time(item: pytest.Item) -> bool:

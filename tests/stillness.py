@@ -58,7 +58,8 @@ class Witness:
         return self._late_ms
 
     def stop(self) -> None:
-        """Watch no more."""
+        """Watch no more; the process is ended, as a child that was forked may hold its input open."""
+        self._process.kill()
         self._process.communicate()
 
 
