@@ -91,17 +91,18 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
     remove_node, held_up = scheduler.remove_node, set[str]()
 
-    def remove_with_its_test(node: Any) -> str | None:
+    def remove_with_its_test(node: Any) -> Any:
         work = scheduler.assigned_work[node].values()
-        unit, test = next(((unit, test) for unit in work for test in unit if not unit[test]), ({}, ""))
-        status = node.gateway._io.popen.wait()
-        if test and (status != ENDED_BY_WATCH or test in held_up):
-            unit[test] = True  # else it is handed to the next worker, for ever
-            remove_node(node)
-            return test
+        pending = [(unit, test) for unit in work for test in unit if not unit[test]]
+        if not pending:
+            remove_node(node)  # at its end, where it waits for the others
+            return None
+        unit, test = pending[0]
+        has_failed = node.gateway._io.popen.wait() != ENDED_BY_WATCH or test in held_up
         held_up.add(test)
+        unit[test] = has_failed  # else it is handed to the next worker, for ever
         remove_node(node)
-        return None
+        return test if has_failed else None
 
     scheduler.schedule, scheduler.remove_node = begin_with_the_first, remove_with_its_test
     # a test without a group is a scope of its own there
