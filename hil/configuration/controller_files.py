@@ -99,6 +99,8 @@ class MadeFor(Section):
     """From sample to actuator."""
     agreed_delay_us: int | None = Field(default=None, gt=0)
     """Age at which stamp and history apply a sample."""
+    sync_within_us: int | None = Field(default=None, gt=0)
+    """Largest departure of the distance of two SYNCs from ``period_us``; absent: the period is constant."""
     torque_rms_nm_max: float | None = Field(default=None, gt=0)
     """Torque swing about its mean allowed at steady reference and load: judged like the bench's own
     ``verdict.torque_rms_nm_max``, of which the smaller counts."""

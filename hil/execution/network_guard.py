@@ -75,6 +75,8 @@ def allowed(made_for: MadeFor, period: Duration) -> Allowed:
     age."""
     if made_for.losses_in_a_row_max is not None and made_for.delay_max_us is not None:
         delay = Duration(made_for.delay_max_us * NS_PER_US)
+        if made_for.strategy is None:  # of a delay that is constant behind a SYNC, the distance of it varies
+            delay = Duration(delay + delay // period * (made_for.sync_within_us or 0) * NS_PER_US)
         losses = made_for.losses_in_a_row_max
         return Allowed(losses, delay, Duration((losses + 1) * period + delay))
     age = Duration(made_for.delay_us * NS_PER_US)
@@ -317,6 +319,7 @@ class Certificates:
             torque_rms_nm_max=made_for.torque_rms_nm_max,
             age_us=limits.age_max / NS_PER_US,
             torque_step_max_nm=None if slew is None else slew * config.loop.period / NS_PER_S,
+            sync_within_us=float(made_for.sync_within_us or 0),
             samples_alone=isinstance(certificate, LossCertificate),
             left=tuple(self._left(axis)),
             unknown=tuple(_unknown(drive, made_for, certificate, loop)),

@@ -30,8 +30,9 @@ from servobench.drivers.timebase import NS_PER_US
 from servobench.hil.loop.cycle_record import FATE_SAMPLE, NOTHING
 from servobench.hil.reviewing.histogram import TimeHistogram
 from servobench.hil.reviewing.network_meter import ACTING, LOST, AxisNetworkMeter, action_delays_ns
+from servobench.hil.reviewing.sync_meter import SyncMeter, sync_instants
 from servobench.hil.rows.recording_plan import AxisPlan, CertifiedPlan
-from servobench.hil.rows.records import Rows
+from servobench.hil.rows.records import ROW_DTYPE, Rows
 
 _ROUNDING = 1e-9
 """A command at the limit is the limit but for rounding; no command in N m is set as finely."""
@@ -48,17 +49,26 @@ class PremisesMeter:
     def __init__(self, axis: AxisPlan, certified: CertifiedPlan, network: AxisNetworkMeter) -> None:
         """``network``: of the axis, which has been given the same rows whenever this one is asked."""
         self._axis, self._certified, self._network = axis, certified, network
+        self._syncs = SyncMeter(certified.period_us, certified.sync_within_us)
         self._missing = 0
         self._age_us = 0.0
         """The longest for which a sample acted, at least; losses included."""
         self._command_nm = 0.0
         self.saturated = 0
         """Cycles of the stretches that are held against the certificate with a command at a limit."""
-        self._shortest_us = math.inf
-        """From sample to actuator: the shortest was so long at most."""
+        self._behind = int((certified.delay_us or 0.0) // certified.period_us)
+        """SYNCs from a sample to the last one before its command acts, in a certificate for lost samples."""
+        self._before = np.zeros(0, ROW_DTYPE)
+        """So many of the last rows."""
+        self._shortest_us, self._longest_us = math.inf, -math.inf
+        """From sample to actuator, as if SYNCs were even: the shortest was so long at most, the longest at
+        least."""
 
     def add(self, rows: Rows) -> None:
         """Take in rows: (n,) of ROW_DTYPE, at least one."""
+        self._syncs.add(rows)
+        if self._certified.samples_alone:
+            self._add_actions(rows)
         # a sample acts until the next one does: its own delay, a period, and one more for each loss
         period_ns = self._certified.period_us * NS_PER_US
         came = np.flatnonzero(rows["fate"] == FATE_SAMPLE)
@@ -69,13 +79,28 @@ class PremisesMeter:
         missing[0] += self._missing
         self._missing = int(rows.size - 1 - came[-1])
         samples = rows.take(came)
-        least, most = action_delays_ns(samples, period_ns)
+        least, _ = action_delays_ns(samples, period_ns)
         if least.size:
-            self._shortest_us = min(self._shortest_us, float(most.min()) / NS_PER_US)
             acting = samples["command_fate"] == ACTING
             self._age_us = max(
                 self._age_us, float(((missing[acting] + 1) * period_ns + least).max()) / NS_PER_US
             )
+
+    def _add_actions(self, rows: Rows) -> None:
+        """Take in when commands acted, counted from the SYNC ``_behind`` after their sample's: that is what
+        is constant where commands act at SYNCs, whose distances vary."""
+        rows = np.concatenate((self._before, rows))
+        followed = max(0, rows.size - self._behind)
+        self._before = rows[followed:]
+        first, last = rows[:followed], rows[self._behind :]
+        came = (first["fate"] == FATE_SAMPLE) & (first["command_fate"] == ACTING)
+        if not came.any():
+            return
+        first, ends, period_ns = first[came], sync_instants(last)[came], self._certified.period_us * NS_PER_US
+        least, most = action_delays_ns(first, period_ns)
+        shift = np.where(ends == NOTHING, 0, ends - first["sampled_at"] - self._behind * period_ns)
+        self._shortest_us = min(self._shortest_us, float((most - shift).min()) / NS_PER_US)
+        self._longest_us = max(self._longest_us, float((least - shift).max()) / NS_PER_US)
 
     def count_limited(self, rows: Rows, held: bool) -> None:
         """Take in the same rows once more, stretch by stretch; ``held``: whether this one is held against
@@ -117,20 +142,31 @@ class PremisesMeter:
             yield f"losses: {least} in a row, readings and commands together, made for at most {losses}"
         if not (long or often) and age is not None and self._age_us > age:
             yield f"age: a sample that acts for {self._age_us:.1f} us, made for at most {age:g} us"
+        if self._syncs.left:
+            yield self._syncs.told()
         if certified.samples_alone:
-            yield from self._left_by_commands(delay)
+            yield from self._left_by_commands()
         if self.saturated:
             yield f"saturation: {self.saturated} commands at a limit after a load step"
 
-    def _left_by_commands(self, delay_us: float | None) -> Iterator[str]:
+    def _left_by_commands(self) -> Iterator[str]:
         """Yield the premises on commands, in a certificate for lost samples, that the run left."""
+        certified = self._certified
         if lost := int(self._network.command_fates[LOST]):
             yield f"commands: {lost} lost, certified where every one arrives"
-        if delay_us is not None and self._shortest_us < delay_us - _EXACT_US:
-            yield (
-                f"constant delay: {self._shortest_us:.1f} us from sample to actuator, certified for "
-                f"{delay_us:g} us alone"
-            )
+        if certified.delay_us is None:
+            return
+        delay_us = certified.delay_us - self._behind * certified.sync_within_us
+        for seen_us, missed_us in (
+            (self._shortest_us, delay_us - self._shortest_us),
+            (self._longest_us, self._longest_us - delay_us),
+        ):
+            if missed_us > _EXACT_US:
+                yield (
+                    f"constant delay: {seen_us:.1f} us from sample to actuator, certified for "
+                    f"{delay_us:g} us alone"
+                )
+                return
 
     def unknown(self) -> Iterator[str]:
         """Premises of which the rows do not tell whether they were kept, in words."""

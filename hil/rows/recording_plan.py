@@ -48,6 +48,8 @@ class CertifiedPlan:
     """Longest action of a sample, losses included."""
     torque_step_max_nm: float | None = None
     """Limit of a command's change from the previous one; None: there is none."""
+    sync_within_us: float = 0.0
+    """Largest departure of the distance of two SYNCs from the period; 0: the period is constant."""
     samples_alone: bool = False
     """Certified for lost samples, but neither for lost commands nor for a shorter delay."""
     left: tuple[str, ...] = ()

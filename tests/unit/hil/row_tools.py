@@ -47,7 +47,8 @@ def plain_rows(
     rows = np.zeros(count, ROW_DTYPE)
     rows["certain"] = 1
     rows["sequence"] = np.arange(1, count + 1)
-    rows["due_at"] = rows["woke_at"] = np.arange(count) * 1_000_000
+    for name in ("due_at", "woke_at", "sampled_at", "sync_on_bus_at"):
+        rows[name] = np.arange(count) * 1_000_000
     columns = {
         "reference_rad_s": reference,
         "velocity_rad_s": velocity,

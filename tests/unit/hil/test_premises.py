@@ -25,7 +25,9 @@ def rows(count: int, least_us: float = 500.0, most_us: float = 500.0, lost: tupl
     """Every command acts so long after its sample; ``lost``: cycles without a reading."""
     made = np.zeros(count, ROW_DTYPE)
     sampled = np.arange(count) * PERIOD_US * NS_PER_US
-    made["axis"], made["certain"], made["sampled_at"], made["due_at"] = 3, 1, sampled, sampled
+    made["axis"], made["certain"], made["due_at"] = 3, 1, sampled
+    made["sampled_at"] = made["sync_on_bus_at"] = sampled
+    made["sequence"] = np.arange(1, count + 1)
     made["received_at"] = made["command_handed_at"] = sampled + 100 * NS_PER_US
     made["command_on_bus_at"] = sampled + 200 * NS_PER_US
     made["command_acts_after"] = sampled + round(least_us * NS_PER_US)
@@ -191,3 +193,87 @@ def test_a_step_between_two_stretches_counts_and_without_limits_none_does() -> N
     after["command_torque_nm"] = 0.8
     meter.count_limited(after, held=True)
     assert meter.saturated == 1
+
+
+def uneven(late_us: dict[int, float], acts_with: bool = False, **more: Any) -> Rows:
+    """SYNCs of 1 ms, each late by so much; ``acts_with``: commands act 800 us after the one that follows."""
+    made = rows(6, **more)
+    late = np.array([round(late_us.get(row, 0.0) * NS_PER_US) for row in range(6)])
+    for name in ("sampled_at", "sync_on_bus_at", "command_acts_after", "command_acts_by"):
+        made[name] += late
+    if acts_with:
+        for name in ("command_acts_after", "command_acts_by"):
+            made[name] += PERIOD_US * NS_PER_US + np.append(late[1:], 0) - late
+    return made
+
+
+EVEN, TO_40 = "a constant period of 1000 us", "960 to 1040 us"
+
+
+@pytest.mark.parametrize(
+    ("within_us", "late_us", "seen"),
+    [
+        (0.0, {2: 1.0}, ""),
+        (0.0, {2: 1.1}, f"998.9 to 1001.1 us from one to the next, made for {EVEN}"),
+        (40.0, {2: 41.0}, ""),
+        (40.0, {2: 41.1}, f"958.9 to 1041.1 us from one to the next, made for {TO_40}"),
+        (40.0, {2: 21.0, 3: -21.0}, f"958.0 to 1021.0 us from one to the next, made for {TO_40}"),
+        (40.0, {0: 60.0}, f"940.0 to 1000.0 us from one to the next, made for {TO_40}"),
+        (40.0, {5: 60.0}, f"1000.0 to 1060.0 us from one to the next, made for {TO_40}"),
+    ],
+)
+@pytest.mark.parametrize("lost", [(), (2,), (0, 5)])
+def test_distances_of_syncs_are_those_it_is_made_for_also_where_readings_are_lost(
+    within_us: float, late_us: dict[int, float], seen: str, lost: tuple[int, ...]
+) -> None:
+    left = [f"SYNC: {seen}"] if seen else []
+    assert judged(uneven(late_us, lost=lost), sync_within_us=within_us) == (left, [])
+
+
+@pytest.mark.parametrize(("error_us", "left"), [(0, True), (10, True), (14, True), (15, False), (200, False)])
+def test_a_drive_that_samples_unevenly_leaves_the_premise_as_far_as_its_instants_are_known(
+    error_us: int, left: bool
+) -> None:
+    run = uneven({})
+    run["sampled_at"][3] += 70 * NS_PER_US
+    run["sampled_at_error_ns"] = error_us * NS_PER_US
+    found, _ = judged(run, sync_within_us=40.0)
+    seen = 70 - 2 * error_us
+    text = f"SYNC: {1000 - seen}.0 to {1000 + seen}.0 us from one to the next, made for {TO_40}"
+    assert found == ([text] if left else [])
+
+
+def test_a_distance_over_cycles_without_a_sync_counts_as_so_many_equal_ones() -> None:
+    run = uneven({3: 81.0}, lost=(1, 2))
+    run["sync_on_bus_at"][[1, 2]] = NOTHING
+    run = run[:4]
+    assert judged(run, sync_within_us=27.0) == ([], [])
+    (text,), _ = judged(run, sync_within_us=26.6)
+    assert text == "SYNC: 1027.0 to 1027.0 us from one to the next, made for 973.4 to 1026.6 us"
+
+
+def test_a_reading_that_may_answer_another_sync_says_nothing_of_its_instant() -> None:
+    run = uneven({})
+    run["sampled_at"][2] += 500 * NS_PER_US
+    run["certain"][2] = 0
+    assert judged(run) == ([], [])
+
+
+@pytest.mark.parametrize("late_us", [{2: 39.0}, {1: 20.0, 2: -19.0, 5: 20.0}, {}])
+@pytest.mark.parametrize("lost", [(), (2, 3)])
+def test_a_delay_is_constant_behind_the_sync_at_which_commands_act(
+    late_us: dict[int, float], lost: tuple[int, ...]
+) -> None:
+    made_for: dict[str, Any] = {"samples_alone": True, "delay_us": 1840.0, "sync_within_us": 40.0}
+    run = uneven(late_us, True, least_us=800.0, most_us=800.0, lost=lost)
+    assert judged(run, **made_for) == ([], [])
+    for name in ("command_acts_after", "command_acts_by"):
+        run[name][4] += 11 * NS_PER_US
+    (text,), _ = judged(run, **made_for)
+    assert text == "constant delay: 1811.0 us from sample to actuator, certified for 1800 us alone"
+
+
+def test_a_delay_that_is_constant_behind_the_sample_is_none_behind_an_uneven_sync() -> None:
+    run = uneven({3: 30.0}, least_us=1800.0, most_us=1800.0)
+    (text,), _ = judged(run, samples_alone=True, delay_us=1840.0, sync_within_us=40.0)
+    assert text.startswith("constant delay: 1770.0 us from sample to actuator")
