@@ -5,6 +5,7 @@
 #   make check       format, lint, types, import rules
 #   make test        the tests that need no SocketCAN
 #   make unit        the unit tests of one room, ROOM=drivers, virtual_bus, design or hil
+#   make draws       the tests of which make test takes a few drawn cases, with all of them
 #   make edits       edit the files of a campaign EDITS times between its runs: no row may rest on another content
 #   make stranger    what README, documents, hil init and --help show typed, from a wheel installed in an environment
 #                    of its own, in a bare folder: on the oldest and on the newest Python of this machine (PYTHONS)
@@ -67,7 +68,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup core core-debug core-fuzz compile pure wheel wheels demo check format test unit edits stranger test-dask test-vcan test-can truth swarm rehearsals sheets mistakes strangers outages attack mutate pictures exits bench instructions docs lock clean
+.PHONY: help setup core core-debug core-fuzz compile pure wheel wheels demo check format test unit draws edits stranger test-dask test-vcan test-can truth swarm rehearsals sheets mistakes strangers outages attack mutate pictures exits bench instructions docs lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -156,6 +157,9 @@ ROOM ?= $(error which room? make unit ROOM=drivers, virtual_bus, design or hil)
 
 unit: $(TOOLS) $(CORE)
 	@$(BIN)/pytest --quiet --numprocesses=2 --dist=loadgroup -m "not long" --durations=5 --durations-min=2 tests/unit/$(ROOM)
+
+draws: $(TOOLS) compile
+	@DRAWS=all $(BIN)/pytest --numprocesses=2 --dist=loadgroup $$(grep -rl --include='test_*.py' 'few_of(' tests)
 
 EDITS ?= 1000
 

@@ -7,8 +7,7 @@ late all were. Beside other workers these tests are in the first, which `make te
 
 A test that its time-out does not end (it waits where no signal is heard, or swallows what is raised) would
 hold up the whole run without a word: a thread of C prints where every thread stands, and ends the worker. So
-ends a worker that does not come to its own end. The test is tried once more by another worker; one that ends
-its worker in another way, or again, has failed.
+ends a worker that does not come to its own end.
 
 An emulated machine (SERVOBENCH_EMULATED: User Mode Linux, QEMU) may stand still in all three tries. A few
 tests for which it did are left out, by name; what more there are fail, as what is broken does.
@@ -40,8 +39,6 @@ UNIT = Path(__file__).parent / "unit"
 ON_LINUX = {Path(__file__).parent / each for each in ("can", "vcan")}
 _witness: Witness | None = None
 """One for each worker, made when it is first needed."""
-ENDED_BY_WATCH = 1
-"""Status of a process that faulthandler ends."""
 _left_out: list[str] = []
 _errors_to: list[int] = []
 """Standard error as it is outside of a test, whose own is captured."""
@@ -89,20 +86,17 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
         scheduler.assigned_work = dict(by_name)
         schedule()
 
-    remove_node, held_up = scheduler.remove_node, set[str]()
+    remove_node = scheduler.remove_node
 
-    def remove_with_its_test(node: Any) -> Any:
-        work = scheduler.assigned_work[node].values()
-        pending = [(unit, test) for unit in work for test in unit if not unit[test]]
-        if not pending:
-            remove_node(node)  # at its end, where it waits for the others
-            return None
-        unit, test = pending[0]
-        has_failed = node.gateway._io.popen.wait() != ENDED_BY_WATCH or test in held_up
-        held_up.add(test)
-        unit[test] = has_failed  # else it is handed to the next worker, for ever
+    def remove_with_its_test(node: Any) -> str | None:
+        pending = (
+            (unit, test) for unit in scheduler.assigned_work[node].values() for test in unit if not unit[test]
+        )
+        unit, crashed = next(pending, (None, None))
+        if unit is not None:
+            unit[crashed] = True  # else the test that ended its worker is handed to the next one, for ever
         remove_node(node)
-        return test if has_failed else None
+        return crashed
 
     scheduler.schedule, scheduler.remove_node = begin_with_the_first, remove_with_its_test
     # a test without a group is a scope of its own there
@@ -167,11 +161,6 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
         _end_after(session.config, 2 * GRACE_S)
     if _witness is not None:
         _witness.stop()
-
-
-def pytest_unconfigure() -> None:
-    """A worker that has come to its end waits for the others as long as they take."""
-    faulthandler.cancel_dump_traceback_later()
 
 
 @pytest.fixture(scope="module")

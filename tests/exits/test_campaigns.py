@@ -8,6 +8,7 @@ import pytest
 
 from servobench.hil.configuration.config_files import toml_text
 from servobench.virtual_bus.child_python import python_command
+from tests.draws import few_of
 from tests.exits.misused_hooks import __file__ as hooks
 from tests.scenario.processes import run_command
 from tests.unit.hil.recorded_runs import BENCH
@@ -79,7 +80,7 @@ def test_a_campaign_for_which_there_is_no_room_says_so(tmp_path: Path) -> None:
     assert "Traceback" not in said
 
 
-@pytest.mark.parametrize("workers", ["1", "2"])
+@pytest.mark.parametrize("workers", few_of(["2", "1"], 1))
 def test_what_a_controller_has_replaced_is_named_wherever_it_ran(tmp_path: Path, workers: str) -> None:
     """A worker died with it, three times, and the campaign ended with 6."""
     path = sweep(tmp_path)

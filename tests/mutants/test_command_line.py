@@ -7,13 +7,14 @@ import pytest
 from typer.testing import CliRunner
 
 from servobench.hil.cli import app
+from tests.draws import ALL
 from tests.mutants.kinds import EXAMPLES, KINDS
 from tests.mutants.mutant import INSERTS, NUMBERS, PROCESSOR_S_MAX, Kind, mutant, processor_s
 from tests.mutants.recordings import recording_kinds, write_unfinished
 
 BENCH: Final = str(EXAMPLES / "ling2012.toml")
-MUTANTS: Final = 26
-"""Of each command: over 500 together."""
+MUTANTS: Final = 26 if ALL else 8
+"""Of each command: over 500 together, a third of them in ``make test``."""
 MUTANTS_RECORDED: Final = 2
 """Of each file of a recording: to recover it takes a quarter of a second."""
 NOWHERE: Final = "hub:a/b"

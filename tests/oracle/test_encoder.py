@@ -16,6 +16,7 @@ from servobench.hil.execution.network_guard import Certificates
 from servobench.hil.verdict.verdict import LimitResult
 from servobench.virtual_bus.drive.encoder import Encoder, SineErrors, SpeedMethod, SpeedSensing
 from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
+from tests.draws import few_of
 from tests.motors import LING
 from tests.scenario.processes import EXAMPLES
 
@@ -72,7 +73,7 @@ def drawn_encoder(rng: np.random.Generator) -> Encoder:
     )
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", few_of(range(40), 10))
 def test_counts_are_those_of_the_signals(seed: int) -> None:
     """At either speed, turning round too, of any errors and delay; rounding may move an edge by 1e-9 rad."""
     rng = np.random.default_rng([43, seed])
@@ -121,7 +122,7 @@ def edge_times(shaft: FreeShaft, count: int, edges: FloatArray) -> FloatArray:
 
 
 @pytest.mark.parametrize("timer_hz", [None, 1e8, 1e6])
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", few_of(range(8), 3))
 def test_the_time_between_edges_gives_the_speed(seed: int, timer_hz: float | None) -> None:
     rng = np.random.default_rng([44, seed])
     counts = int(rng.integers(16, 20_000))

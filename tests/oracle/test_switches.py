@@ -10,6 +10,7 @@ import pytest
 from servobench.design.mechanism import Coupling, Mechanism, Switches
 from servobench.drivers.timebase import NS_PER_S, Instant
 from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters
+from tests.draws import few_of
 from tests.motors import LING
 
 RATE_HZ = 16_000
@@ -43,7 +44,7 @@ def to_tick(firmware: Firmware, tick: int) -> float:
 
 
 @pytest.mark.parametrize("coupled", [False, True])
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", few_of(range(8), 3))
 def test_an_edge_is_crossed_to_the_ns(seed: int, coupled: bool) -> None:
     """The root of the parabola. Read off by the filter: the longest that still lets the change through."""
     draw = np.random.default_rng([43, seed])
@@ -89,7 +90,7 @@ def seen_changes(crossed_s: float, crossing: int, switches: Switches, seed: int)
     return seen
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", few_of(range(12), 4))
 def test_what_is_seen_of_a_contact_that_bounces(seed: int) -> None:
     """At each tick of a passage, for drawn bounces with and without a filter."""
     draw = np.random.default_rng([44, seed])

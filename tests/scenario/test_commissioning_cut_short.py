@@ -48,6 +48,7 @@ from servobench.hil.write_lists import RIG
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from servobench.virtual_bus.drive.unknown_drive import unknown_drive
 from tests.commissioning import WrappedStep
+from tests.draws import few_of
 from tests.forked_folder import take_a_copy
 from tests.scenario.cut_bus import CutBus
 
@@ -59,6 +60,7 @@ CLOCK = 0x1013
 WRITING = [step.name for step in all_steps() if step.writes or step.moves]
 FIRST_READING = ["bus", "identity", "dump", "units"]
 UNPLUGGED = ["setup", "polarity"]
+PARTS = dict(few_of([("late", 0.6), ("early", 0.1)], 1))
 
 pytestmark = [pytest.mark.xdist_group("commissioning cut short"), pytest.mark.timeout(600)]
 
@@ -273,7 +275,7 @@ def tries_of(name: str, frames: int, before: Mapping[Any, bytes]) -> Iterator[tu
         check = partial(_put_back_by_itself, before=before, name=name)
         yield "ctrl-c", Try(partial(_ask, frames=frames // 2), check)
     if name in WRITING:
-        for when, part in (("early", 0.1), ("late", 0.6)):
+        for when, part in PARTS.items():
             check = partial(_put_back_by_the_journal, before=before)
             yield when, Try(partial(_cut, frames=round(part * frames)), check)
     if name in UNPLUGGED:
@@ -338,7 +340,7 @@ def ends(frames: dict[str, int], tmp_path_factory: pytest.TempPathFactory) -> En
     return tries.ends
 
 
-@pytest.mark.parametrize("part", ["early", "late"])
+@pytest.mark.parametrize("part", PARTS)
 @pytest.mark.parametrize("name", WRITING)
 def test_a_journal_alone_puts_the_drive_back(ends: Ends, name: str, part: str) -> None:
     assert ends[name, part] == ""

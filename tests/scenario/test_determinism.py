@@ -11,13 +11,14 @@ import pytest
 
 from servobench.hil.loop.cycle_record import FATE_SAMPLE
 from servobench.hil.testing.bench_runs import BenchRunner
+from tests.draws import few_of
 from tests.scenario.processes import EXAMPLES
 
 BENCH = EXAMPLES / "ling2012.toml"
 SHORT_S = 0.5
 SHORT = {"bench.duration_s": SHORT_S, "load.axis1.0.at_s": 0.3}
 """The example with all its faults, cut to half a second."""
-HASH_SEEDS = ("0", "77")
+HASH_SEEDS = few_of(("77", "0"), 1)
 
 
 def test_the_same_seed_gives_the_same_digest_and_another_another(servo_bench: BenchRunner) -> None:

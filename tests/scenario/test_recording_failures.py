@@ -23,6 +23,7 @@ from servobench.hil.rows.faults_file import read_faults
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records import ROW_DTYPE
 from servobench.hil.verdict.summary import Summary
+from tests.draws import few_of
 from tests.scenario.processes import EXAMPLES, HIL, NO_DISK, RUN_TIMEOUT_S, on_disk_of, quiet_environment
 
 LONG_S = 120
@@ -56,7 +57,7 @@ def run_on_tiny_disk(size: str, tmp_path: Path, *options: str) -> tuple[int, str
     return done.returncode, done.stdout + done.stderr, kept / "run"
 
 
-@pytest.mark.parametrize("size", ["4k", "200k"])
+@pytest.mark.parametrize("size", few_of(["4k", "200k"], 1))
 def test_a_disk_that_is_full_before_the_start_moves_nothing(tmp_path: Path, size: str) -> None:
     status, said, _ = run_on_tiny_disk(size, tmp_path, str(LING2012))
     assert status == 5, said
@@ -129,7 +130,7 @@ def summary_in(folder: Path) -> dict[str, Any]:
     return found
 
 
-@pytest.mark.parametrize("phase", ["connecting", "configuring", "calibrating"])
+@pytest.mark.parametrize("phase", few_of(["calibrating", "connecting", "configuring"], 1))
 def test_a_logger_killed_before_a_drive_is_enabled_lets_none_be_enabled(tmp_path: Path, phase: str) -> None:
     with pytest.raises(RecordingFailed, match="not recorded: the logger was killed by SIGKILL"):
         run_and_kill(tmp_path, phase)
@@ -180,7 +181,7 @@ def test_a_logger_killed_in_mid_run_ends_the_run_at_once(tmp_path: Path) -> None
     assert drive_states(tmp_path / "run")[-1] == "switch on disabled"
 
 
-@pytest.mark.parametrize("phase", ["enabling", "stopping", "stopped"])
+@pytest.mark.parametrize("phase", few_of(["enabling", "stopped", "stopping"], 2))
 def test_a_logger_killed_at_either_end_of_the_run_is_told(tmp_path: Path, phase: str) -> None:
     recorded = True
     try:

@@ -11,7 +11,7 @@ from typing import Final
 from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from tests.swarm.swarm import failures, is_struck, warm
 
-CASES: Final = 100
+CASES: Final = 24
 """Those that ``make test`` runs."""
 UNSTRUCK_EVERY: Final = 20
 """Of the numbers one in so many goes through processes though nothing strikes it: command line and logger see

@@ -20,9 +20,8 @@ from tests.truth.rows import USED
 from tests.truth.tapped_run import run_with_taps
 
 CYCLES = 800
-SEEDS = (2, 7, 17, 27, 29, 33, 40, 57, 59, 65, 69, 71, 74, 78, 79, 81, 84, 86, 113, 118)
-"""Plans under which nothing certain is wrong and few rows are in doubt; all features but some that hold
-only alone are among them."""
+SEEDS = (2, 27, 33, 57, 59, 65, 69, 79, 113)
+"""Plans that have every feature between them, nothing certain wrong and few rows in doubt."""
 SENT = 200
 
 

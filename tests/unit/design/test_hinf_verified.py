@@ -12,6 +12,7 @@ from servobench.design.hinf.riccati import RiccatiSolution, stabilising_solution
 from servobench.design.hinf.synthesis import gamma_min, synthesise, verified_norm
 from servobench.design.hinf.system_norm import hinf_norm, norm_is_below
 from servobench.design.statespace import state_space
+from tests.draws import few_of
 from tests.unit.design.hinf_plants import (
     badly_scaled,
     random_plant,
@@ -64,7 +65,7 @@ KINDS: list[tuple[Callable[[int], GeneralisedPlant], range]] = [
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("made", "seed"),
-    [(made, seed) for made, seeds in KINDS for seed in seeds],
+    [(made, seed) for made, seeds in KINDS for seed in few_of(seeds, 2)],
     ids=lambda each: str(each)[:25],
 )
 def test_every_gamma_above_gamma_min_is_feasible(made: Callable[[int], GeneralisedPlant], seed: int) -> None:
@@ -72,7 +73,7 @@ def test_every_gamma_above_gamma_min_is_feasible(made: Callable[[int], Generalis
     _holds_above(plant, gamma_min(plant))
 
 
-@pytest.mark.parametrize("seed", [*range(150, 160), 1005])
+@pytest.mark.parametrize("seed", few_of([156, 1005, *range(150, 156), *range(157, 160)], 3))
 def test_a_nearly_singular_plant_has_a_true_figure_or_a_reason(seed: int) -> None:
     """D12 a hundred thousandth of its size; 156 was answered 63.87, of an X known to 0.4 of itself."""
     plant = with_weak_control(random_plant(seed), 1e-5)

@@ -12,7 +12,7 @@ pytestmark = pytest.mark.long
 
 DRIVES = (1011, 1015)
 """One whose drive tells a wrong rated torque, and one that tells the truth."""
-EACH = 3
+EACH = 1
 
 
 @pytest.mark.parametrize("seed", DRIVES)

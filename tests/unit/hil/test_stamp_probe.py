@@ -12,6 +12,7 @@ from servobench.hil.measuring.stamp_probe import StampFigures, find_stamp
 from servobench.hil.terminal.measure_report import stamp_text
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from tests.draws import few_of
 from tests.motors import LING
 
 KEY = (0x1013, 0)
@@ -24,7 +25,7 @@ def found(seed: int = 0, **keys: Any) -> StampFigures | None:
         return find_stamp(CanopenNetwork(world.link, world.clock), 1, KEY, seed)
 
 
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", few_of(range(24), 8))
 def test_the_drawn_settings_of_a_drive_are_found(seed: int) -> None:
     draw = Random(f"settings {seed}")
     unit_us = draw.choice((0.5, 1.0, 1.0, 1.0, 10.0, 100.0))

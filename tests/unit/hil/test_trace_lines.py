@@ -20,6 +20,7 @@ from servobench.hil.reviewing.trace.trace_lines import TraceLines
 from servobench.hil.terminal.trace import line_of
 from servobench.hil.testing.bench_runs import BenchRunner
 from servobench.virtual_bus.device.communication_objects import export_eds
+from tests.draws import few_of
 from tests.recorded_frames import write_frames
 from tests.scenario.processes import EXAMPLES
 from tests.scenario.test_canopen_master import make_device
@@ -122,7 +123,7 @@ def drawn_log(dice: random.Random, count: int) -> str:
 
 @pytest.mark.long
 @pytest.mark.parametrize("as_json", [False, True], ids=["text", "json"])
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", few_of(range(8), 3))
 def test_drawn_buses(tmp_path: Path, seed: int, as_json: bool) -> None:
     write_frames(tmp_path, drawn_log(random.Random(seed), 3000))
     log = FrameColumns(tmp_path)

@@ -23,6 +23,7 @@ from servobench.hil.reviewing.trace.run_trace import RecordedBus
 from servobench.hil.rows.frames_file import INDEX_DTYPE, read_index
 from servobench.hil.rows.run_files import DIRECTIONS_FILE, FRAMES_LOG, INDEX_FILE
 from servobench.hil.rows.side_rows import FRAME_DTYPE, frame_row
+from tests.draws import few_of
 from tests.unit.hil.test_run_trace import recorded
 
 FRAMES: Final = 600
@@ -125,7 +126,7 @@ def written_by_a_recorder(folder: Path, seed: int) -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("indexed", [False, True])
-@pytest.mark.parametrize("seed", range(15))
+@pytest.mark.parametrize("seed", few_of(range(15), 4))
 def test_a_window_has_the_lines_of_the_whole(tmp_path: Path, seed: int, indexed: bool) -> None:
     recorded(tmp_path, format="4", first_cycle_epoch_ns="100000000000")
     drawn_log(tmp_path, seed)
