@@ -191,6 +191,11 @@ class PdoPlan:
         """Return the first TPDO that carries an object."""
         return next((pdo for pdo in self.tpdos if pdo.place_of(index, sub) is not None), None)
 
+    def timer_of(self, index: int, sub: int = 0) -> Duration:
+        """Return after how long the first TPDO with an object is repeated; 0 if it goes with SYNCs."""
+        pdo = self.tpdo_with(index, sub)
+        return Duration(0 if pdo is None or pdo.synchronous else pdo.event_timer_ms * NS_PER_MS)
+
     def rpdo_with(self, index: int, sub: int = 0) -> PdoMap | None:
         """Return the first RPDO that carries an object."""
         return next((pdo for pdo in self.rpdos if pdo.place_of(index, sub) is not None), None)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from servobench.drivers.canopen.cob_ids import SYNC
-from servobench.drivers.cia402.pdo_plans import TARGETS
+from servobench.drivers.cia402.pdo_plans import STATUS, TARGETS
 from servobench.drivers.cia402.profile import BENCH_MODES
 from servobench.drivers.cia402.servo import ServoDrive
 from servobench.drivers.errors import BadInput
@@ -231,6 +231,7 @@ def axis(
 
     ``syncs``: of its segment. ``tell``: takes messages about the drive's clock.
     """
+    assert drive.plan is not None
     name = config.axes[number]
     mode, segment, bitrate = config.drive[name].mode, config.drive[name].segment, config.bitrate_of(name)
     later = sync_latency(bitrate) - sync_latency(config.bus.bitrate_bit_s)
@@ -253,6 +254,7 @@ def axis(
         deadline=config.loop.deadline,
         horizon=config.loop.horizon_periods,
         tell=tell,
+        status_timer=drive.plan.timer_of(*STATUS),
         stamp_resolution=config.drive[name].stamp_resolution or drive.assembler.stamp.resolution_at(bitrate),
         stamped_at_arrival=not drive.assembler.stamp.of_events,
         acts_at_syncs=timing.actuation is Actuation.ON_SYNC,

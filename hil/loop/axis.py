@@ -11,6 +11,7 @@ from servobench.drivers.exchange import Drive, Reading
 from servobench.drivers.record import replaced
 from servobench.drivers.timebase import NEVER, NS_PER_US, Duration, Instant
 from servobench.hil.loop.attribution import HELD_FOR, HELD_MAX
+from servobench.hil.loop.beats import Beats
 from servobench.hil.loop.clock_map import STAMP_RESOLUTION, Lessons
 from servobench.hil.loop.command_meter import CommandMeter
 from servobench.hil.loop.cycle_record import CycleRecord
@@ -54,6 +55,8 @@ class AxisParts:
     """Cycles after which a reading or a command is lost."""
     tell: Callable[[str], None]
     """Takes what is to be said of the drive's clock."""
+    status_timer: Duration = Duration(0)  # noqa: RUF009 - an int
+    """The drive repeats its statusword so often, whatever the SYNCs do; 0: it comes with the readings."""
     stamp_resolution: Duration = STAMP_RESOLUTION
     """By how much the drive's stamp advances at a time."""
     stamped_at_arrival: bool = False
@@ -98,7 +101,7 @@ class Axis:
         parts = self.parts
         seen = parts.syncs, self._period, parts.transit, parts.tell
         self.by_stamp = StampAttribution(*seen, parts.stamp_resolution, parts.stamped_at_arrival)
-        self.by_order = OrderAttribution(*seen)
+        self.by_order = OrderAttribution(*seen, Beats(self._period, parts.status_timer))
         self.by_order.copies.stamps = self.by_stamp.stamps
 
     @property

@@ -3,6 +3,7 @@
 from servobench.drivers.exchange import Reading
 from servobench.drivers.timebase import NEVER, NS_PER_US, Duration, Instant
 from servobench.hil.loop.attribution import HELD_MAX, Health, Question, Tell
+from servobench.hil.loop.beats import Beats
 from servobench.hil.loop.kept_order import KeptOrder, PlacedInOrder
 from servobench.hil.loop.order_memory import UNTIDY_FOR, Copies, SampleDelays, Strays, Unanswered, Unconfirmed
 from servobench.hil.loop.order_question import ASK_AGAIN_AFTER, STRAYS_MAX, OrderQuestion
@@ -23,19 +24,18 @@ class OrderAttribution:
     unevenness of SYNCs, by a *probe*, one that goes out late, or by delays that look as before.
     """
 
-    def __init__(self, syncs: SyncLog, period: Duration, transit: Duration, tell: Tell) -> None:
+    def __init__(self, syncs: SyncLog, period: Duration, transit: Duration, tell: Tell, beats: Beats) -> None:
         self.health, self.question = Health(), Question()
-        self._syncs, self._tell = syncs, tell
+        self._syncs, self._tell, self._beats = syncs, tell, beats
         self._period, self._transit = period, transit
         self._echo_error, self._delays = syncs.error_ns, SampleDelays(syncs, period, transit)
         self._kept_order = KeptOrder(syncs, period, transit)
         self._usual = UsualDelays(period, transit, syncs.error_ns, syncs.basis in STAMPED_LATE)
-        self._in_question = OrderQuestion(syncs, period, transit, self._usual)
+        self._in_question = OrderQuestion(syncs, period, transit, self._usual, beats)
         self._answered = self._known = 0  # numbers of the last SYNCs that have readings, and certain ones
         self._open, self.copies = Unanswered(syncs), Copies(syncs, period, transit)
         self._sure, self._beyond = True, False  # beyond: the question has had no answer so far
-        self._unsure = Unconfirmed(self.question, self._usual)
-        self._strays = Strays()
+        self._unsure, self._strays = Unconfirmed(self.question, self._usual), Strays()
         self._held: tuple[int, Instant, int] | None = None  # a row, if the next reading is to show it
         self._untidy = 0  # readings while frames may be held up
 
@@ -56,6 +56,7 @@ class OrderAttribution:
 
     def learn(self, reading: Reading, mark: SyncMark) -> None:
         """Take a reading that can only answer the SYNC of ``mark``."""
+        self._beats.take(reading.status_told_at)
         if mark.on_bus_at is not None:
             delay = reading.received_at - mark.on_bus_at
             self._delays.add(delay)
@@ -73,6 +74,7 @@ class OrderAttribution:
         self._in_question.probed(mark.number, ASK_AGAIN_AFTER if self._beyond else self._lags() + 1)
 
     def place(self, reading: Reading) -> Sample | None:
+        self._beats.take(reading.status_told_at)
         copy, self.question.left_open = self.copies.holds(reading), False
         self._untidy -= self._untidy > 0
         again = copy and self.copies.told_by_stamps
@@ -322,8 +324,7 @@ class OrderAttribution:
         copied = self._untidy and (copy or self.copies.before)
         if not self._sure or copied or mark.sequence == SURPLUS or not self._usual.apart:
             return False
-        known = mark.number == self._answered + 1 == self._known + 1
-        return known and not self._open.may_come(mark)
+        return mark.number == self._answered + 1 == self._known + 1 and not self._open.may_come(mark)
 
     def _comes_sooner(self, usual: SyncMark, received_at: Instant, copy: bool) -> bool:
         """True if a reading is that of a SYNC after the ``usual`` one, as this and all before have theirs."""
@@ -345,9 +346,8 @@ class OrderAttribution:
         """Return whether a reading is that of the SYNC before ``mark``: none comes as soon after its own."""
         if not self._sure or copy or mark.number != self._answered + 2 or age >= self._usual.least:
             return False
-        if self._usual.nearly_holds(age) or self._open.may_come(mark):  # frames of other axes may be missing
-            return False
-        return self._mark(mark.number - 1).on_bus_at is not None
+        others_lack = self._usual.nearly_holds(age) or self._open.may_come(mark)  # frames of other axes
+        return not others_lack and self._mark(mark.number - 1).on_bus_at is not None
 
     def _hold(self, reading: Reading, mark: SyncMark) -> Sample | None:
         """It was held up. If the next one does not come, it may be one before, or that of ``mark``."""

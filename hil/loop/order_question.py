@@ -9,6 +9,7 @@ from typing import Final
 
 from servobench.drivers.timebase import Duration, Instant
 from servobench.hil.loop.attribution import HELD_MAX
+from servobench.hil.loop.beats import Beats
 from servobench.hil.loop.order_evidence import WATCHED, OrderEvidence
 from servobench.hil.loop.syncs import SyncLog
 from servobench.hil.loop.usual_delays import (
@@ -87,8 +88,16 @@ class LossShare:
 class OrderQuestion:
     """Evidence for the lags with which readings may follow their SYNCs."""
 
-    def __init__(self, syncs: SyncLog, period: Duration, transit: Duration, usual: UsualDelays) -> None:
+    def __init__(
+        self,
+        syncs: SyncLog,
+        period: Duration,
+        transit: Duration,
+        usual: UsualDelays,
+        beats: Beats,
+    ) -> None:
         """``usual``: the delays of readings whose place is certain."""
+        self._beats = beats
         self.evidence = OrderEvidence(syncs, transit)
         self.phase_known = True
         """True if the delay is known, whole periods aside."""
@@ -134,6 +143,8 @@ class OrderQuestion:
         if self._missing != self._syncs.missing and not self.phase_known:
             self.evidence.restart()
         self._missing = self._syncs.missing
+        for _, since in self._misses:
+            since.until = min(since.until, received_at)
         return self.evidence.add(received_at)
 
     def miss(self, answered: int, number: int) -> None:
@@ -142,7 +153,12 @@ class OrderQuestion:
         if len(self._misses) == MISSES_MAX:
             answered, since = self._misses.pop()
             run = max(run, since.run)
-        self._misses.append((answered, Resemblance(run)))
+        self._misses.append((answered, Resemblance(run, self._known_at(answered))))
+
+    def _known_at(self, answered: int) -> Instant:
+        """An instant before the reading of SYNC ``answered`` came."""
+        marks = self._syncs.marks
+        return marks[max(0, answered - marks[0].number)].handed_at
 
     def _comes_too_soon(self, delay: int) -> bool:
         """Return whether a reading of the SYNC before would have come sooner than its frame can."""
@@ -168,6 +184,7 @@ class OrderQuestion:
     def settled(self, number: int, lag: int) -> bool:
         """The answer is ``lag``, up to SYNC ``number``; whether delays have changed, and nothing was lost."""
         if lag or not self.phase_known:
+            self._beats.begin(self._misses[0][1].until)
             self._shares = LossShare(number)
             return True
         for _, since in self._misses:
@@ -281,9 +298,9 @@ class OrderQuestion:
         lag = evidence.verdict(-self.sooner(), lags, self._usual.spread // 4 if phase else 0, untidy)
         follows = lag == 0 and phase and self._usual.apart and len(evidence) >= EVIDENCE_UNUSUAL
         if lag is None or not (follows or self._is_narrow(evidence.usual_delays(lag))):
-            return self._lag_by_looks()
+            return self._lag_by_looks(lags)
         if lag and phase and self._is_usual(evidence.delays(0), 1 if untidy or not self._probes else 0):
-            return self._lag_by_looks() if self._misses[-1][1].is_as_wide(self._usual) else None
+            return self._lag_by_looks(lags) if self._misses[-1][1].is_as_wide(self._usual) else None
         return lag
 
     def counts(self, lags: int) -> bool:
@@ -321,10 +338,16 @@ class OrderQuestion:
         row."""
         count = readings_to_resemble(self._usual.spread, self._period, self._alike_least)
         known = self._shares.readings_to_show(self._usual.spread, self._period, miss[0], run)
+        if not (self._probes or known < HELD_MAX or self._periods_late(miss) == 0):
+            return False
         count = min(count, known)
         return not self._speaks_against(miss) and miss[1].is_shown(
             self._usual, count, frames=self._shares.lost >= LOSSES_MIN
         )
+
+    def _periods_late(self, miss: tuple[int, Resemblance]) -> int | None:
+        """By how many periods the drive's timers are late since one of the readings that are missing."""
+        return self._beats.periods_late(miss[1].since, miss[1].until, self._usual.spread)
 
     def _speaks_against(self, miss: tuple[int, Resemblance]) -> bool:
         """Return whether probes have gone out, and readings have not followed them, but for what is lost and
@@ -340,9 +363,12 @@ class OrderQuestion:
     def _alike_least(self) -> int:
         return PROBED_FOR if self._probes else ALIKE_MIN
 
-    def _lag_by_looks(self) -> int | None:
+    def _lag_by_looks(self, lags: int) -> int | None:
         """The lag with which delays look as before, where SYNCs do not tell it."""
         miss = self._misses[-1]
+        late = self._periods_late(miss)
+        if late and self.phase_known and -self.sooner() <= late < lags and self.evidence.delays(late):
+            return late if miss[1].is_shown(self._usual, LOOKS_MIN, frames=True) else None
         if self.phase_known:
             shorter = self.odd > 0 and self.sooner() > 0
             longest = max(since.run for _, since in self._misses)

@@ -10,7 +10,7 @@ band as wide as the period says nothing of the SYNC that a reading answers.
 from collections.abc import Sequence
 from typing import Final
 
-from servobench.drivers.timebase import NS_PER_US, Duration
+from servobench.drivers.timebase import NEVER, NS_PER_US, Duration, Instant
 
 KEPT: Final = 64
 """The last delays: as many as readings wait for an answer."""
@@ -253,9 +253,11 @@ class Resemblance:
     decides only where SYNCs tell nothing.
     """
 
-    def __init__(self, run: int) -> None:
+    def __init__(self, run: int, since: Instant) -> None:
         self.run = run
-        """So many are missing in a row."""
+        """So many are missing in a row,"""
+        self.since, self.until = since, NEVER
+        """in this time: no sooner, and all readings from ``until`` on are behind."""
         self._low = self._high = self._count = self._others = 0
         self.followed = 0
         """Probes that readings of a usual delay have followed."""

@@ -20,7 +20,7 @@ from servobench.drivers.canopen.pdo_budget import LOAD_LIMIT_PERCENT, budget_of
 from servobench.drivers.cia402.drive_setup import DriveSettings, read_scaling
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.pdo_planner import mode_plan
-from servobench.drivers.cia402.pdo_plans import DEMAND, PlanWish, features_of, status_timer_ms
+from servobench.drivers.cia402.pdo_plans import DEMAND, STATUS, PlanWish, features_of, status_timer_ms
 from servobench.drivers.cia402.profile import CONTROLWORDS, DriveCommand, Mode
 from servobench.drivers.cia402.scaling import ScaleOverride
 from servobench.drivers.cia402.servo import ServoDrive
@@ -257,6 +257,7 @@ class Subject:
         request, timing, drive = self._request, self._timing, self.drive
         period = timing.period
         unit_nm = drive.rated_torque_nm / 1000.0
+        assert drive.plan is not None
 
         def tell(text: str) -> None:
             self.notes.append(text)
@@ -278,6 +279,7 @@ class Subject:
             deadline=Duration(HORIZON * period),
             horizon=HORIZON,
             tell=tell,
+            status_timer=drive.plan.timer_of(*STATUS),
             acts_later=Duration(number * command_duration(request.bitrate_bit_s, "cst")),
         )
         axis = Axis(number, parts, period, self._record)

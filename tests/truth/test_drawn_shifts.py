@@ -82,6 +82,14 @@ def test_a_reading_of_an_unusual_delay_that_may_be_of_another_sync_is_in_doubt(
     assert verdict.wrong == {}, verdict.examples
 
 
+def test_a_statusword_by_a_timer_tells_a_delay_that_grew_by_whole_periods_from_losses() -> None:
+    """At the kernel's SYNCs both give the same readings: a gateway's three periods were taken for three
+    losses, 899 rows, and 780 of another plan."""
+    verdict = judged(drawn_plan(461573), 760)
+    assert verdict.wrong == {}, verdict.examples
+    assert verdict.readings.uncertain < 120
+
+
 def test_delays_grow_by_no_more_periods_than_readings_are_missing() -> None:
     """Traffic that beats with the SYNCs held them up as it had 30 periods before, and most of the last
     readings were in doubt: "its readings come 30050 us after their SYNC now", and one was late."""

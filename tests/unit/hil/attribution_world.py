@@ -12,8 +12,9 @@ from functools import partial
 from heapq import heappop, heappush
 from itertools import count
 
-from servobench.drivers.timebase import NS_PER_S, Instant
+from servobench.drivers.timebase import NS_PER_S, Duration, Instant
 from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.loop.beats import Beats
 from servobench.hil.loop.order_attribution import OrderAttribution
 from servobench.hil.loop.samples import Sample
 from servobench.hil.loop.stamp_attribution import StampAttribution
@@ -97,7 +98,7 @@ class _World:
         self.log = log = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.BUS)
         self.told: list[str] = []
         self.by_stamp = StampAttribution(log, PERIOD, TRANSIT, self.told.append)
-        self.by_order = OrderAttribution(log, PERIOD, TRANSIT, self.told.append)
+        self.by_order = OrderAttribution(log, PERIOD, TRANSIT, self.told.append, Beats(PERIOD, Duration(0)))
         self.placed: list[Truth] = []
         self._offset = 777_000_123
         self._order = count()

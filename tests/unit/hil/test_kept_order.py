@@ -5,8 +5,9 @@ from random import Random
 import pytest
 
 from servobench.drivers.exchange import Reading
-from servobench.drivers.timebase import Instant
+from servobench.drivers.timebase import Duration, Instant
 from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.loop.beats import Beats
 from servobench.hil.loop.order_attribution import OrderAttribution
 from servobench.hil.loop.samples import Sample
 from servobench.hil.loop.syncs import SyncLog
@@ -50,7 +51,7 @@ def come(seed: int, in_order: bool, lost: float, surplus: float = 0.0) -> list[t
 def placed(readings: list[tuple[int, int, int]]) -> list[tuple[int, int, bool]]:
     """Of each reading, the number of its SYNC, that of the one it was placed at, and whether for certain."""
     log = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.HARDWARE)
-    order = OrderAttribution(log, PERIOD, TRANSIT, lambda text: None)
+    order = OrderAttribution(log, PERIOD, TRANSIT, lambda text: None, Beats(PERIOD, Duration(0)))
     log.heard(1, Instant(PERIOD))
     order.learn(reading_at(Instant(PERIOD + 2 * TRANSIT)), log.marks[0])
     waiting: list[tuple[int, Sample]] = []

@@ -2,9 +2,11 @@
 
 import pytest
 
-from servobench.drivers.timebase import NS_PER_US, Instant
+from servobench.drivers.record import replaced
+from servobench.drivers.timebase import NS_PER_US, Duration, Instant
 from servobench.drivers.wire.frame_port import EchoBasis
 from servobench.hil.loop.attribution import HELD_MAX
+from servobench.hil.loop.beats import Beats
 from servobench.hil.loop.order_attribution import OrderAttribution
 from servobench.hil.loop.order_memory import HELD_UP
 from servobench.hil.loop.order_question import ASK_AGAIN_AFTER, PROBE_AFTER, STRAYS_MAX
@@ -15,6 +17,8 @@ from servobench.hil.loop.usual_delays import ALIKE_MIN, FIRST, KEPT, RESOLUTION_
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, TRANSIT, reading_at
 
 DELAY = 240_000
+TIMER = 5 * PERIOD
+"""The drive tells its statusword so often."""
 ECHO = NS_PER_US
 """How far an echo with the stamp of an adapter may err."""
 ERROR = ECHO + TRANSIT // HIDDEN_PARTS
@@ -28,7 +32,10 @@ class Rig:
     def __init__(self, delay: int = DELAY) -> None:
         self.told: list[str] = []
         self.log = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.HARDWARE)
-        self.order = OrderAttribution(self.log, PERIOD, TRANSIT, self.told.append)
+        self.beats = Beats(PERIOD, Duration(TIMER))
+        for before in range(-8, 0):
+            self.beats.take(Instant(before * TIMER))
+        self.order = OrderAttribution(self.log, PERIOD, TRANSIT, self.told.append, self.beats)
         self.sync(1)
         self.order.learn(reading_at(Instant(PERIOD + delay)), self.log.marks[0])
         self.speed = 0.0
@@ -41,7 +48,8 @@ class Rig:
 
     def comes(self, at: int) -> Sample | None:
         self.speed += 1.0
-        return self.order.place(reading_at(Instant(at), velocity_rad_s=self.speed))
+        reading = reading_at(Instant(at), velocity_rad_s=self.speed)
+        return self.order.place(replaced(reading, status_told_at=Instant(at // TIMER * TIMER)))
 
     def answered(self, number: int, late: int = 0, delay: int = DELAY) -> Sample | None:
         """SYNC ``number`` goes out, and a reading comes ``delay`` after it."""
