@@ -19,6 +19,9 @@ against them.
 object is written only after 1018h and 1008h have said that the drive is the product named with it. That is
 today the simulated drive alone, whose load machine is 2100h.
 
+`hil params load` and `clone` write the parameters that the file or the other drive names, 2000h to 5FFFh too,
+beside 6040h and, with `--store`, 1010h; 1018h has said before that the drive is the file's.
+
 `hil restore`, and the end of `hil commission` and `hil measure`, put back what the journal names; of the
 other objects they write 6040h and 1003h alone. A drive file's `[[object]]` may name an object of the list
 of `hil run`. `hil eds`, `hil motor`, `hil trace` and `hil scan` write nothing; `hil scan --assign` gives

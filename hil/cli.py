@@ -50,7 +50,7 @@ from servobench.hil.terminal.init import init
 from servobench.hil.terminal.measure import measure
 from servobench.hil.terminal.motor import motor
 from servobench.hil.terminal.output import say
-from servobench.hil.terminal.params import diff, save
+from servobench.hil.terminal.params import clone, diff, load, save
 from servobench.hil.terminal.picture import picture
 from servobench.hil.terminal.presets import presets
 from servobench.hil.terminal.recover import recover
@@ -85,9 +85,12 @@ reproduce = typer.Typer(
 add_commands(reproduce, azaiz2007, ling2012)
 
 params = typer.Typer(
-    name="params", cls=PlainGroup, help="Keep and compare a drive's parameters.", no_args_is_help=True
+    name="params",
+    cls=PlainGroup,
+    help="Keep, compare, load and clone a drive's parameters.",
+    no_args_is_help=True,
 )
-add_commands(params, save, diff)
+add_commands(params, save, load, diff, clone)
 
 design = typer.Typer(name="design", cls=PlainGroup, help="Design a controller.", no_args_is_help=True)
 add_commands(design, current, hinf, pid, design_speed.speed)

@@ -8,12 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from servobench.drivers.canopen.objects301 import Cia301
 from servobench.drivers.cia402.servo import ServoDrive
 from servobench.drivers.cia402.supervision import Release
 from servobench.drivers.errors import BadInput, BenchError, PeerFault
 from servobench.drivers.sheets.dictionary import LoadedDictionary, load_dictionary
-from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration
+from servobench.drivers.timebase import Duration
 from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.drivers.written_file import DiskFull, writing
 from servobench.hil.commissioning.certificate import write_certificate
@@ -39,7 +38,7 @@ from servobench.hil.execution.world import World, WorldPlan, open_world
 from servobench.hil.machine.realtime import timing_conditions
 from servobench.hil.machine.stopping import stop_signals
 from servobench.hil.restoring.journal import JournaledNetwork
-from servobench.hil.restoring.restore import DISABLED, restore
+from servobench.hil.restoring.restore import DISABLED, restore, store_settings
 from servobench.hil.rows.run_files import BENCH_FILE, COMMISSIONING_RECORDING
 from servobench.hil.write_lists import COMMISSION
 from servobench.virtual_bus.device.canopen_device import CanopenDevice
@@ -68,12 +67,6 @@ def all_steps() -> list[Step]:
         Suggest(),
         Verify(),
     ]
-
-
-SAVE: bytes = b"save"
-"""Signature required by 1010h (CiA 301 7.5.2.13)."""
-_STORE_LIMIT = Duration(2 * NS_PER_S)
-"""A drive answers 1010h once its memory is written (CiA 301 7.5.2.13), long after any other download."""
 
 
 def run_command(
@@ -249,12 +242,8 @@ def _put_back(session: Session, left: DriveLeft) -> None:
 
 
 def _store(session: Session, left: DriveLeft) -> None:
-    """Make the drive store its settings, 1010h:1."""
-    network, node = session.network, session.request.node
-    before = network.sdo_timeout_s
-    network.sdo_timeout_s = _STORE_LIMIT / NS_PER_S
     try:
-        network.download(node, Cia301.STORE_PARAMETERS, 1, SAVE)
+        store_settings(session.network, session.request.node)
     except PeerFault as error:
         left.not_stored = str(error)
         session.dialog.tell(
@@ -262,6 +251,3 @@ def _store(session: Session, left: DriveLeft) -> None:
         )
     else:
         left.stored = True
-    finally:
-        network.sdo_timeout_s = before
-    network.pump(network.deadline_after(Duration(50 * NS_PER_MS)))

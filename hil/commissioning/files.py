@@ -26,7 +26,7 @@ from servobench.hil.commissioning.torque_scale import torque_scale
 from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.configuration.network_file import NETWORK_FILE, network_text
 from servobench.hil.restoring.journal import SET_POINTS, ObjectKey
-from servobench.hil.restoring.restore import pdo_of
+from servobench.hil.restoring.settings import pdo_of
 from servobench.hil.rows.run_files import BENCH_FILE, COMMISSIONED_FILE
 
 MOTOR_FILE: Final = "motor.toml"

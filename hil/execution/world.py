@@ -210,9 +210,16 @@ def drive_network(bus: str, bitrate_bit_s: int, writes: WriteList) -> Iterator[C
 
     Raises BadInput for the simulated one, BusDown.
     """
+    with drive_world(bus, bitrate_bit_s) as world:
+        yield CanopenNetwork(world.link, world.clock, writes=writes)
+
+
+@contextmanager
+def drive_world(bus: str, bitrate_bit_s: int) -> Iterator[World]:
+    """Open a bus with drives on it. Raises BadInput for the simulated one, BusDown."""
     spec = shared_bus(bus, "use hub:NAME and `hil simulate`", "a bus with a drive on it")
     with open_world(WorldPlan(spec, bitrate_bit_s), ()) as world:
-        yield CanopenNetwork(world.link, world.clock, writes=writes)
+        yield world
 
 
 class _SimulatedSegment:

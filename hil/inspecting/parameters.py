@@ -46,7 +46,7 @@ NO_PARAMETERS: Final = frozenset(
         Object.INTERPOLATION_DATA_RECORD,
     }
 )
-_CONNECT_NS: Final = Duration(2 * NS_PER_S)
+CONNECT_NS: Final = Duration(2 * NS_PER_S)
 """Somebody waits at the terminal, and a drive that is on answers at once."""
 
 
@@ -83,7 +83,7 @@ def read_parameters(
     Raises BadInput for a data sheet that cannot be read, PeerFault if it is of another device, NoAnswer.
     """
     dictionary = load_dictionary(sheet, node).dictionary
-    identity = ServoDrive(network, node).connect(network.deadline_after(_CONNECT_NS))
+    identity = ServoDrive(network, node).connect(network.deadline_after(CONNECT_NS))
     for part, of_sheet, of_drive in told_identity(dictionary).strangers(
         identity.vendor, identity.product, identity.revision
     ):
@@ -126,6 +126,12 @@ def parameters_of(path: Path, node: int | None = None) -> ParameterSet:
         raise BadInput(str(path), "ParameterValue", "none", "a DCF or XDC with parameter values", cure)
     told = told_identity(dictionary)
     return _described(dictionary, str(path), (frozenset(told.vendor), frozenset(told.product)), values, {})
+
+
+def node_of(path: Path) -> int | None:
+    """Return the node-ID that a DCF or XDC tells ([DeviceComissioning]). Raises BadInput."""
+    commissioning = load_dictionary(path).commissioning
+    return None if commissioning is None else commissioning.node_id
 
 
 def configuration_text(

@@ -84,6 +84,8 @@ class JournalHead:
     """Entries of its error history 1003h; None if it has none."""
     bitrate_bit_s: int = 1_000_000
     """Bit rate of the bus; journals of earlier versions lack it."""
+    loads: str = ""
+    """Digest of the parameters that are being loaded: of any objects; empty: none are."""
 
 
 @dataclass(slots=True)
@@ -107,15 +109,22 @@ class Journal:
     """The writing side."""
 
     def __init__(self, path: Path, head: JournalHead) -> None:
-        """Begin a journal; raises BadInput if there is one that still waits to be restored, or no place."""
-        _refuse_open_journal(path)
+        """Begin a journal, or go on with that of the same load into the same drive, behind its last line.
+
+        Raises BadInput if another one still waits to be restored, or no place.
+        """
+        waiting = _waiting_journal(path, head)
         self.path = path
-        self.contents = JournalContents(head)
+        self.contents = waiting or JournalContents(head)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = path.open("wb")
+            self._file = path.open("r+b" if waiting else "wb")
         except OSError as error:
             raise BadInput(str(path), "", error.strerror, "a place for the journal") from error
+        if waiting:
+            self._file.seek(path.read_bytes().rfind(b"\n") + 1)
+            self._file.truncate()
+            return
         mark = head.mark._asdict()
         self._write(
             {
@@ -126,14 +135,17 @@ class Journal:
                 **mark,
                 "nmt": head.nmt,
                 "errors": head.errors,
+                **({"loads": head.loads} if head.loads else {}),
             }
         )
         sync_folder(path.parent)
 
-    def note(self, change: ObjectWrite) -> None:
-        """Put a change on the disk; only then may it be made."""
-        self._write({"object": str(change.object), "old": change.old.hex(), "new": change.new.hex()})
-        self.contents.changes.append(change)
+    def note(self, *changes: ObjectWrite) -> None:
+        """Put changes on the disk; only then may they be made."""
+        self._write(
+            *({"object": str(each.object), "old": each.old.hex(), "new": each.new.hex()} for each in changes)
+        )
+        self.contents.changes += changes
         self.contents.restored = False
 
     def note_restored(self) -> None:
@@ -145,8 +157,8 @@ class Journal:
         """Leave the file."""
         self._file.close()
 
-    def _write(self, record: Mapping[str, Any]) -> None:
-        write_synced(self._file, json.dumps(record).encode() + b"\n")
+    def _write(self, *records: Mapping[str, Any]) -> None:
+        write_synced(self._file, b"".join(json.dumps(record).encode() + b"\n" for record in records))
 
 
 def restore_command(journal: Path) -> str:
@@ -179,7 +191,7 @@ def read_journal(path: Path) -> JournalContents:
         if "restored" in record:
             contents.restored = True
             continue
-        contents.changes.append(_change(path, number, record))
+        contents.changes.append(_change(path, number, record, bool(contents.head.loads)))
         contents.restored = False
     return contents
 
@@ -198,7 +210,8 @@ def _head(path: Path, record: dict[str, Any]) -> JournalHead:
     try:
         mark = DriveMark(int(record["vendor"]), int(record["product"]), int(record["serial"]))
         head = JournalHead(str(record["bus"]), int(record["node"]), mark, record["nmt"], record.get("errors"))
-        head = replace(head, bitrate_bit_s=int(record.get("bitrate_bit_s", head.bitrate_bit_s)))
+        rate = int(record.get("bitrate_bit_s", head.bitrate_bit_s))
+        head = replace(head, bitrate_bit_s=rate, loads=str(record.get("loads", "")))
     except (KeyError, TypeError, ValueError) as error:
         raise BadInput(str(path), "line 1", record, "the head of a journal", str(error)) from None
     for key, value, bounds in (("node", head.node, NODES), ("bitrate_bit_s", head.bitrate_bit_s, _BIT_RATES)):
@@ -207,31 +220,28 @@ def _head(path: Path, record: dict[str, Any]) -> JournalHead:
     return head
 
 
-def _change(path: Path, number: int, record: dict[str, Any]) -> ObjectWrite:
+def _change(path: Path, number: int, record: dict[str, Any], of_any_object: bool) -> ObjectWrite:
     try:
         index, sub = bytes.fromhex(record["object"][:4]), bytes.fromhex(record["object"][5:7])
         key = ObjectKey(int.from_bytes(index), int.from_bytes(sub))
         write = ObjectWrite(key, bytes.fromhex(record["old"]), bytes.fromhex(record["new"]))
     except (KeyError, TypeError, ValueError) as error:
         raise BadInput(str(path), f"line {number}", record, "object, old and new", str(error)) from None
-    if (key.index, key.sub) not in RESTORE:
+    if not of_any_object and (key.index, key.sub) not in RESTORE:
         expected = "an object that hil commission or hil measure writes (hil docs writes)"
         raise BadInput(str(path), f"line {number}", object_name(key.index, key.sub), expected)
     return write
 
 
-def _refuse_open_journal(path: Path) -> None:
-    if not path.exists():
-        return
-    contents = read_journal(path)
-    if contents.changes and not contents.restored:
-        raise BadInput(
-            "--out",
-            "",
-            str(path.parent),
-            "a folder without a journal that waits to be put back",
-            restore_command(path),
-        )
+def _waiting_journal(path: Path, head: JournalHead) -> JournalContents | None:
+    contents = read_journal(path) if path.exists() else None
+    if contents is None or not contents.changes or contents.restored:
+        return None
+    found = contents.head
+    if head.loads and (found.loads, found.node, found.mark) == (head.loads, head.node, head.mark):
+        return contents
+    expected = "a folder without a journal that waits to be put back"
+    raise BadInput("--out", "", str(path.parent), expected, restore_command(path))
 
 
 class JournaledNetwork(CanopenNetwork):
@@ -280,6 +290,8 @@ class JournaledNetwork(CanopenNetwork):
             raise AssertionError(f"a write to {index:04X}h of node {node_id} before there is a journal")
         if index in COMMANDS:
             return
+        if journal.contents.head.loads and ObjectKey(index, sub) in journal.contents.originals():
+            return  # noted with all others before the first write
         try:
             old = self.upload(node_id, index, sub)
         except TransferAborted:

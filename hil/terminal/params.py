@@ -1,5 +1,6 @@
-"""``hil params``: the parameters of a drive, kept in a file and compared."""
+"""``hil params``: the parameters of a drive, kept in a file, compared, and loaded."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,23 +13,31 @@ from servobench.hil.terminal.options import (
     DriveNodeOption,
     JsonOption,
     bus_option,
+    flag,
     valued,
 )
 from servobench.hil.terminal.output import put, say, say_written
 from servobench.hil.verdict.verdict import ExitStatus
 
 if TYPE_CHECKING:
-    from servobench.hil.inspecting.parameters import ParameterDifference, ParameterSet
+    from servobench.hil.inspecting.loading import Loaded, LoadRequest
+    from servobench.hil.inspecting.parameters import ParameterDifference, ParameterSet, Place
+    from servobench.hil.restoring.journal import JournaledNetwork
 
 _NAME_MAX = 40
 """Letters of a name in the table; makers' names go to a hundred."""
+SheetOption = Annotated[Path, valued("--eds", "FILE", "Data sheet that names the parameters.")]
+StoreOption = Annotated[bool, flag("--store", "Have the drive keep them (1010h).")]
+OutOption = Annotated[
+    Path | None, valued("--out", "DIR", "Folder of the journal; default: named by source and node.")
+]
 
 
 def save(
     file: Annotated[Path, typer.Argument(metavar="FILE.dcf", help="The DCF to write; none may be there.")],
     bus: DriveBusOption,
     node: DriveNodeOption,
-    eds: Annotated[Path, valued("--eds", "FILE", "Data sheet that names the parameters.")],
+    eds: SheetOption,
     bitrate: BitrateOption = 1_000_000,
     as_json: JsonOption = False,
 ) -> None:
@@ -58,6 +67,117 @@ def save(
     figures = {"file": str(file), "node": node, "parameters": len(read.values), "refused": refused}
     put(figures, as_json, lambda _figures: _print_saved(len(read.values), refused))
     raise typer.Exit(ExitStatus.FAILED if refused else ExitStatus.PASSED)
+
+
+def load(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A DCF or XDC with parameter values.")],
+    bus: DriveBusOption,
+    node: DriveNodeOption,
+    out: OutOption = None,
+    store: StoreOption = False,
+    bitrate: BitrateOption = 1_000_000,
+    as_json: JsonOption = False,
+) -> None:
+    """Write the parameters of a file into a drive that is disabled and stands; read each back.
+
+    The same command goes on after an end of any kind; hil restore DIR/journal.jsonl undoes it.
+    Exit status: 0 all held, 1 the drive refused some, 2 bad input, 3 no answer, another device, or a drive
+    that is enabled or moves.
+
+    Examples:
+      hil params load drive.dcf --bus hub:lab --node 1
+    """
+    from servobench.hil.inspecting.loading import LoadRequest, for_node
+    from servobench.hil.inspecting.parameters import node_of, parameters_of
+
+    source = node_of(file) or node
+    parameters, left = for_node(parameters_of(file, node), source, node)
+    folder = out or Path(f"{file.stem}-node{node}")
+    request = LoadRequest(bus, bitrate, node, folder, store)
+    _load(request, lambda _network: (parameters, left), as_json)
+
+
+def clone(
+    bus: DriveBusOption,
+    node: DriveNodeOption,
+    to: Annotated[int, valued("--to", "N", "Node id of the drive to load.", min=1, max=127)],
+    eds: SheetOption,
+    out: OutOption = None,
+    store: StoreOption = False,
+    bitrate: BitrateOption = 1_000_000,
+    as_json: JsonOption = False,
+) -> None:
+    """Read every parameter of a drive and write them into another one of its type, as hil params load does.
+
+    Identifiers follow the node-ID; node-ID, bit rate and serial number stay. Exit status: as of hil params
+    load.
+
+    Examples:
+      hil params clone --bus hub:lab --node 1 --to 2 --eds drive.eds
+    """
+    from servobench.drivers.canopen.nmt_states import NODE_ID_MAX
+    from servobench.hil.inspecting.loading import LoadRequest, for_node
+    from servobench.hil.inspecting.parameters import read_parameters
+
+    if to == node:
+        raise BadInput("--to", "", to, f"another node id 1..{NODE_ID_MAX} than --node")
+
+    def parameters(network: "JournaledNetwork") -> "tuple[ParameterSet, dict[Place, str]]":
+        read, _, _ = read_parameters(network, node, eds, bus, _note)
+        moved, left = for_node(read, node, to)
+        return moved, {**left, **read.unread}
+
+    folder = out or Path(f"node{node}-node{to}")
+    _load(LoadRequest(bus, bitrate, to, folder, store), parameters, as_json)
+
+
+def _load(
+    request: "LoadRequest",
+    parameters: "Callable[[JournaledNetwork], tuple[ParameterSet, dict[Place, str]]]",
+    as_json: bool,
+) -> None:
+    from servobench.drivers.canopen.objects301 import object_name
+    from servobench.hil.execution.world import drive_world
+    from servobench.hil.inspecting.loading import load_parameters, loading_network
+    from servobench.hil.machine.stopping import stop_signals
+
+    with stop_signals() as stop, drive_world(request.bus, request.bitrate_bit_s) as world:
+        network = loading_network(world)
+        wanted, left = parameters(network)
+        loaded = load_parameters(network, wanted, request, _note, stop.check)
+    figures = {
+        "node": request.node,
+        "parameters": loaded.parameters,
+        "differed": loaded.differed,
+        "refused": {object_name(*place): why for place, why in sorted(loaded.refused.items())},
+        "left": {object_name(*place): why for place, why in sorted(left.items())},
+        "stored": loaded.stored,
+        "journal": str(request.journal) if loaded.differed else None,
+    }
+    put(figures, as_json, lambda _figures: _print_loaded(request, loaded, wanted, figures))
+    raise typer.Exit(ExitStatus.PASSED if loaded.complete else ExitStatus.FAILED)
+
+
+def _print_loaded(
+    request: "LoadRequest", loaded: "Loaded", wanted: "ParameterSet", figures: dict[str, Any]
+) -> None:
+    from servobench.hil.restoring.journal import restore_command
+
+    count, refused = loaded.parameters, len(loaded.refused)
+    typer.echo(
+        f"{count - refused} of {count} parameters held by node {request.node}, {loaded.differed} differed"
+    )
+    for name, why in figures["refused"].items():
+        place = int(name[:4], 16), int(name[6:], 16)
+        typer.echo(f"  {name} {wanted.names[place]}: {why}")
+    for name, why in figures["left"].items():
+        typer.echo(f"  {name} left: {why}")
+    if loaded.differed:
+        typer.echo(f"undo: {restore_command(request.journal)}")
+    if loaded.not_stored:
+        typer.echo(f"NOT stored: {loaded.not_stored}")
+    elif loaded.stored:
+        typer.echo("stored (1010h)")
 
 
 def diff(

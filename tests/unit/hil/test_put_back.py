@@ -24,7 +24,8 @@ from servobench.hil.restoring.journal import (
     ObjectWrite,
     read_journal,
 )
-from servobench.hil.restoring.restore import Restoration, await_answer, head_of, pdo_of, restore
+from servobench.hil.restoring.restore import Restoration, await_answer, head_of, restore
+from servobench.hil.restoring.settings import pdo_of
 from servobench.hil.write_lists import RESTORE
 from servobench.virtual_bus.frame import Frame
 from tests.scenario.foreign_node import put_on_the_bus

@@ -1,0 +1,328 @@
+"""Parameters of a file, or of another drive, loaded into a drive: compared, written, read back, undone.
+
+    identity     vendor-ID and product code are those of the file, or nothing is written
+    at rest      the drive is disabled and stands; before each write its statusword says so again
+    compared     only what differs is written
+    journal      each old value is on the disk before its write (``hil restore`` puts it back)
+    written      PRE-OPERATIONAL; PDOs by their rules, the rest by what depends on what
+    read back    everything, until nothing differs or nothing helps; what is left is named
+    kept         1010h, if asked for
+
+Whatever ends it, the drive is disabled, and the same load goes on where it ended.
+"""
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Final
+
+from servobench.drivers.canopen.cob_ids import CAN_ID, EMERGENCY, NODE_BITS, RPDOS, TPDOS
+from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.canopen.objects301 import MANUFACTURER, Cia301, is_communication
+from servobench.drivers.canopen.write_list import NOTHING, WriteList
+from servobench.drivers.cia402.drive_setup import Identity
+from servobench.drivers.cia402.objects402 import CONTROL, Object
+from servobench.drivers.cia402.profile import state_of
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.errors import BenchError, PeerFault, TransferAborted
+from servobench.drivers.sheets.dictionary import value_text
+from servobench.drivers.timebase import NS_PER_MS, Duration
+from servobench.hil.execution.world import World
+from servobench.hil.inspecting.parameters import CONNECT_NS, ParameterSet, Place
+from servobench.hil.restoring.journal import (
+    Journal,
+    JournaledNetwork,
+    ObjectKey,
+    ObjectWrite,
+    restore_command,
+)
+from servobench.hil.restoring.restore import (
+    DISABLED,
+    bring_to_rest,
+    enter_pre_operational,
+    head_of,
+    return_to,
+    store_settings,
+)
+from servobench.hil.restoring.settings import write_settings, writes_to
+from servobench.hil.write_lists import COMMISSION
+
+JOURNAL: Final = "journal.jsonl"
+_REST_UNITS: Final = 2
+"""An encoder may jump to and fro."""
+_REST_LOOKS: Final = 3
+_LOOK: Final = Duration(20 * NS_PER_MS)
+_OWN: Final = re.compile(r"node.?(id|address)|baud.?rate|bit.?(rate|timing)|serial.?n", re.IGNORECASE)
+"""Names of makers' objects that hold a device's place on its bus, or its serial number."""
+_PREDEFINED: Final = frozenset({*TPDOS, *RPDOS, EMERGENCY})
+_AXIS: Final = 0x800
+"""Objects from one axis to the next (CiA 402-2)."""
+_PROFILE: Final = range(0x6000, 0xA000)
+_UNITS: Final = frozenset(
+    {Object.POLARITY, Object.MOTOR_RATED_CURRENT, Object.MOTOR_RATED_TORQUE, *range(0x6089, 0x6098)}
+    | {0x608F, 0x60A8, 0x60A9, 0x60AA, 0x60AB, *range(0x60E4, 0x60F0)}
+)
+"""Scaling of other objects' values."""
+_BOUNDS: Final = frozenset(
+    {Object.VL_VELOCITY_MIN_MAX_AMOUNT, Object.MAX_TORQUE, Object.MAX_CURRENT, 0x607B}
+    | {Object.SOFTWARE_POSITION_LIMIT, Object.MAX_PROFILE_VELOCITY, Object.MAX_MOTOR_SPEED}
+    | {Object.MAX_ACCELERATION, Object.MAX_DECELERATION, 0x60E0, 0x60E1}
+)
+"""Limits of other objects' values."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoadRequest:
+    """The drive to load into."""
+
+    bus: str
+    bitrate_bit_s: int
+    node: int
+    out: Path
+    """Folder of the journal."""
+    store: bool = False
+    """Have the drive keep its parameters."""
+
+    @property
+    def journal(self) -> Path:
+        """The file of the journal."""
+        return self.out / JOURNAL
+
+
+@dataclass(slots=True)
+class Loaded:
+    """Result of loading."""
+
+    parameters: int
+    """How many there were to load."""
+    differed: int = 0
+    """Those that held another value."""
+    refused: dict[Place, str] = field(default_factory=dict)
+    """Parameters that hold another value at the end, and why."""
+    stored: bool = False
+    not_stored: str = ""
+    """Why the drive did not store, if it was asked to."""
+
+    @property
+    def complete(self) -> bool:
+        """The drive holds every parameter, and keeps them if asked to."""
+        return not self.refused and not self.not_stored
+
+
+def loading_network(world: World) -> JournaledNetwork:
+    """Return a master that reads; :func:`load_parameters` allows it what it writes."""
+    return JournaledNetwork(world.link, world.clock, NOTHING)
+
+
+def for_node(parameters: ParameterSet, source: int, node: int) -> tuple[ParameterSet, dict[Place, str]]:
+    """Return the parameters of node ``source`` as ``node`` is to have them, and what is left to that device.
+
+    Identifiers of the predefined connection set follow the node-ID (CiA 301 7.3.5). Its node-ID, bit rate and
+    serial number are a device's own.
+    """
+    if source == node:
+        return parameters, {}
+    left = {
+        place: "its own"
+        for place, name in parameters.names.items()
+        if place in parameters.values and place[0] in MANUFACTURER and _OWN.search(name)
+    }
+    values = {
+        place: _moved(place, value, source, node)
+        for place, value in parameters.values.items()
+        if place not in left
+    }
+    return replace(parameters, values=values), left
+
+
+def _moved(place: Place, value: bytes, source: int, node: int) -> bytes:
+    index, sub = place
+    if not (index == Cia301.EMCY_COB_ID or (is_communication(index) and sub == 1)):
+        return value
+    cob_id = int.from_bytes(value, "little")
+    if cob_id & NODE_BITS != source or cob_id & CAN_ID & ~NODE_BITS not in _PREDEFINED:
+        return value
+    return (cob_id - source + node).to_bytes(len(value), "little")
+
+
+def load_parameters(
+    network: JournaledNetwork,
+    wanted: ParameterSet,
+    request: LoadRequest,
+    tell: Callable[[str], None],
+    check_stop: Callable[[], None] = lambda: None,
+) -> Loaded:
+    """Bring a drive to the values ``wanted``. ``check_stop``: called before each write; may raise.
+
+    Raises PeerFault for another device, or one that is enabled or moves, NoAnswer, BusDown; BadInput if the
+    journal of something else waits in the folder.
+    """
+    drive = ServoDrive(network, request.node)
+    identity = drive.connect(network.deadline_after(CONNECT_NS))
+    _check_device(wanted, identity, request.node)
+    _check_rest(drive.objects)
+    result = Loaded(len(wanted.values))
+    held = _held(network, request.node, wanted, result)
+    values = {ObjectKey(*place): wanted.values[place] for place in sorted(held, key=_rank)}
+    result.differed = sum(
+        not _alike(wanted.types[place], value, wanted.values[place]) for place, value in held.items()
+    )
+    journal = None
+    try:
+        with network.writes.only(_writes(network, request.node, values)):
+            if result.differed or request.store or request.journal.exists():
+                journal = _begin(network, drive.objects, identity, wanted, request)
+                _note_all(journal, held, wanted)
+                _write(network, drive.objects, wanted, values, result, check_stop)
+                return_to(network, request.node, journal.contents.head.nmt)
+            if request.store:
+                _check_state(drive.objects)
+                _store(network, request.node, result)
+    except BenchError:
+        if journal is not None and journal.contents.changes:
+            undo = restore_command(request.journal)
+            tell(f"not all is loaded: the same command goes on with it, {undo} undoes it")
+        raise
+    finally:
+        if journal is not None:
+            journal.close()
+    return result
+
+
+def _begin(
+    network: JournaledNetwork,
+    objects: RemoteObjects,
+    identity: Identity,
+    wanted: ParameterSet,
+    request: LoadRequest,
+) -> Journal:
+    head = head_of(objects, request.bus, request.bitrate_bit_s, identity)
+    journal = Journal(request.journal, replace(head, loads=_digest(wanted.values)))
+    network.journals[request.node] = journal
+    enter_pre_operational(network, request.node)
+    return journal
+
+
+def _note_all(journal: Journal, held: Mapping[Place, bytes], wanted: ParameterSet) -> None:
+    """Note all parameters before the first write, which may change other objects than its own."""
+    known = journal.contents.originals()
+    found = (
+        ObjectWrite(ObjectKey(*place), held[place], wanted.values[place]) for place in sorted(held, key=_rank)
+    )
+    journal.note(*(each for each in found if each.object not in known))
+
+
+def _digest(values: Mapping[Place, bytes]) -> str:
+    lines = (f"{index:04X}:{sub:02X} {value.hex()}" for (index, sub), value in sorted(values.items()))
+    return sha256("\n".join(lines).encode()).hexdigest()
+
+
+def _writes(network: JournaledNetwork, node: int, values: Mapping[ObjectKey, bytes]) -> WriteList:
+    product = network.writes.products.get(node)
+    store = tuple(each for each in COMMISSION if each.indices[0] == Cia301.STORE_PARAMETERS)
+    loaded = writes_to(values, product, "a parameter of the file", "now")
+    return WriteList(f"loading into node {node}", (*CONTROL.writes, *store, *loaded))
+
+
+def _check_device(wanted: ParameterSet, identity: Identity, node: int) -> None:
+    parts = ("vendor-ID", "product code")
+    for part, told, here in zip(parts, wanted.device, (identity.vendor, identity.product), strict=True):
+        if here not in told and (here or told):
+            theirs = " or ".join(f"{each:08X}h" for each in sorted(told)) or "not told"
+            raise PeerFault(
+                f"{wanted.source} is of another device: {part} {theirs}",
+                f"node {node} says {here:08X}h",
+                "nothing was written; give a file of this device",
+            )
+
+
+def _check_rest(objects: RemoteObjects) -> None:
+    """Raise PeerFault unless the drive is disabled and stands; nothing is sent to it but requests."""
+    _check_state(objects)
+    places = []
+    for _ in range(_REST_LOOKS):
+        places.append(objects.read_if_there(Object.POSITION_ACTUAL_VALUE, 0, "i"))
+        objects.network.pump(objects.network.deadline_after(_LOOK))
+    first = places[0]
+    moved = [place for place in places if place is not None and first is not None]
+    if first is not None and any(abs(place - first) > _REST_UNITS for place in moved):
+        raise PeerFault(
+            f"node {objects.node_id} moves", f"6064h went from {first} to {moved[-1]}", _cure(objects)
+        )
+
+
+def _check_state(objects: RemoteObjects) -> None:
+    word = objects.read(Object.STATUSWORD, 0, "H")
+    if state_of(word) not in DISABLED:
+        raise PeerFault(f"node {objects.node_id} is not disabled", f"statusword {word:04X}h", _cure(objects))
+
+
+def _cure(objects: RemoteObjects) -> str:
+    stop = f"hil stop --bus {objects.network.link.name} --node {objects.node_id}"
+    return f"parameters are loaded at rest: {stop}"
+
+
+def _held(network: JournaledNetwork, node: int, wanted: ParameterSet, result: Loaded) -> dict[Place, bytes]:
+    held = {}
+    for place in wanted.values:
+        try:
+            held[place] = network.upload(node, *place)
+        except TransferAborted as error:
+            result.refused[place] = error.evidence
+    return held
+
+
+def _write(
+    network: JournaledNetwork,
+    objects: RemoteObjects,
+    wanted: ParameterSet,
+    values: Mapping[ObjectKey, bytes],
+    result: Loaded,
+    check_stop: Callable[[], None],
+) -> None:
+    def same(key: ObjectKey, held: bytes, value: bytes) -> bool:
+        return _alike(wanted.types.get((key.index, key.sub), 0), held, value)
+
+    def check() -> None:
+        check_stop()
+        try:
+            _check_state(objects)
+        except PeerFault:
+            bring_to_rest(objects)
+            raise
+
+    settings = write_settings(network, objects.node_id, values, same, check)
+    for key, held_at_last in settings.held.items():
+        place = key.index, key.sub
+        if place in wanted.values:
+            holds = "nothing" if held_at_last is None else value_text(held_at_last, wanted.types[place])
+            result.refused[place] = settings.refusals.get(key) or f"holds {holds}"
+
+
+def _alike(data_type: int, held: bytes, value: bytes) -> bool:
+    """Return True if both are one value; a text may be filled up with zeros."""
+    return held == value or value_text(held, data_type) == value_text(value, data_type)
+
+
+def _store(network: JournaledNetwork, node: int, result: Loaded) -> None:
+    try:
+        store_settings(network, node)
+    except PeerFault as error:
+        result.not_stored = str(error)
+    else:
+        result.stored = True
+
+
+def _rank(place: Place) -> tuple[int, Place]:
+    """Order of writing: communication, the maker's, units, bounds, all else."""
+    index = place[0]
+    of_first_axis = _PROFILE[0] + (index - _PROFILE[0]) % _AXIS if index in _PROFILE else index
+    if index < MANUFACTURER.start:
+        return 0, place
+    if index in MANUFACTURER:
+        return 1, place
+    if of_first_axis in _UNITS:
+        return 2, place
+    return 3 if of_first_axis in _BOUNDS else 4, place
