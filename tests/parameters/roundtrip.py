@@ -260,9 +260,8 @@ def tried(sheet: Path, folder: Path, seed: str, kills: int) -> Outcome:
                 with suppress(Killed):
                     bench.load(file, out / way, at, sends_it)
                     wrong.append(f"{title}: it ended by itself")
-                if way == "undone":
-                    wrong.extend(f"{title}, undone: {text}" for text in bench.undo(out / way))
-                    judge(f"{title}, undone", factory, {})
-                else:
-                    judge(f"{title}, gone on with", set_up, bench.load(file, out / way)[1])
+                if way == "gone on with":
+                    judge(f"{title}, {way}", set_up, bench.load(file, out / way)[1])
+                wrong.extend(f"{title}, {way}, undone: {text}" for text in bench.undo(out / way))
+                judge(f"{title}, {way}, undone", factory, {})
     return Outcome(len(set_up), len(differing(factory, set_up)), kills, wrong)
