@@ -14,6 +14,7 @@ import tempfile
 from pathlib import Path
 from typing import Final
 
+from servobench.drivers.errors import PeerFault
 from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from tests.parameters.roundtrip import tried
 from tests.rehearsals.rehearsal import made_sheet
@@ -38,7 +39,7 @@ def main() -> None:
     given = [] if asked.sheets is None else sorted(asked.sheets.iterdir())
     cases: list[Path | tuple[str, ...]] = [each for each in given if each.suffix.lower() in SUFFIXES]
     cases += [tuple(name.split("+")) for name in asked.only or ()] or drawn(asked.made)
-    sheets = broken = parameters = kills = 0
+    sheets = refused = broken = parameters = kills = 0
     with tempfile.TemporaryDirectory() as name:
         for number, case in enumerate(cases):
             if clock.now() > ends_at:
@@ -47,7 +48,12 @@ def main() -> None:
             folder.mkdir()
             sheet = case.absolute() if isinstance(case, Path) else made_sheet(case, folder)
             title = case.name if isinstance(case, Path) else " + ".join(case)
-            outcome = tried(sheet, folder, title, asked.kills)
+            try:
+                outcome = tried(sheet, folder, title, asked.kills)
+            except PeerFault as error:
+                refused += 1
+                print(f"{title[:50]:52}refused: {error.evidence[:60]}", flush=True)
+                continue
             sheets, parameters, kills = sheets + 1, parameters + outcome.parameters, kills + outcome.kills
             broken += bool(outcome.wrong)
             print(
@@ -58,7 +64,8 @@ def main() -> None:
             print(
                 *(f"    {text}" for text in outcome.wrong[:SHOWN]), sep="\n", end="\n" * bool(outcome.wrong)
             )
-    print(f"{sheets} of {len(cases)} sheets, {parameters} parameters, {2 * kills} kills; {broken} wrong")
+    counted = f"{parameters} parameters, {2 * kills} kills; {broken} wrong, {refused} no servo drive"
+    print(f"{sheets} of {len(cases)} sheets, {counted}")
     raise SystemExit(broken > 0 or not sheets)
 
 

@@ -156,8 +156,9 @@ def draw_settings(bench: Bench, draw: random.Random) -> None:
     draw.shuffle(order)
     for key in order:
         variable = dictionary.get(*key)
-        for _ in range(_TRIES if variable is not None else 0):
-            assert variable is not None
+        if variable is None or variable.refusal(variable.read()) is not None:
+            continue  # it is not there, or the drive could not be given back what it holds
+        for _ in range(_TRIES):
             if _is_taken(bench, key, _drawn(variable, draw)):
                 break
 
