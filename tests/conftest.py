@@ -14,6 +14,7 @@ tests for which it did are left out, by name; what more there are fail, as what 
 """
 
 import faulthandler
+import gc
 import os
 import signal
 import sys
@@ -58,8 +59,26 @@ def pytest_configure() -> None:
             signal.signal(number, handler)
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """What is collected lasts: no collector looks for garbage in it, now or later."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Give the tests in real time their further tries; they go first, then all but the quick unit tests."""
+    """Give the tests in real time their further tries; they go first, then all but the quick unit tests.
+
+    Hypothesis would read all sources for constants to draw: ten seconds of each worker, and other draws
+    wherever other modules are imported.
+    """
+    if (providers := sys.modules.get("hypothesis.internal.conjecture.providers")) is not None:
+        vars(providers)["_get_local_constants"] = lambda: vars(providers)["_local_constants"]
     long = {item.path for item in items if item.get_closest_marker("long")}
     of_path = {path: ({*path.parents}, path in long) for path in {item.path for item in items}}
     for item in items:
@@ -105,15 +124,25 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """A worker that a test does not give back is ended, once it has had the time of all its tries."""
+def pytest_runtest_protocol(
+    item: pytest.Item, nextitem: pytest.Item | None
+) -> Generator[None, object, object]:
+    """A worker that a test does not give back is ended, once it has had the time of all its tries.
+
+    Behind the last test in real time nobody watches the machine: that costs a fiftieth of a core.
+    """
+    global _witness
     marker = item.get_closest_marker("timeout")
-    limit_s = float(marker.args[0] if marker else item.config.getini("timeout"))
-    _end_after(item.config, limit_s * (TRIES if _is_in_real_time(item) else 1) + GRACE_S)
+    limit_s = marker.args[0] if marker else item.config.getini("timeout")
+    if limit_s:
+        _end_after(item.config, float(limit_s) * (TRIES if _is_in_real_time(item) else 1) + GRACE_S)
     try:
         return (yield)
     finally:
         faulthandler.cancel_dump_traceback_later()
+        if _witness is not None and nextitem is not None and not _is_in_real_time(nextitem):
+            _witness.stop()
+            _witness = None
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
@@ -170,6 +199,16 @@ def forked_children() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "executable", python())
+        yield
+
+
+@pytest.fixture(scope="module")
+def undrawn_certificates() -> Iterator[None]:
+    """Commissionings leave a PDF without pages: to draw them takes a third of the time of all their steps."""
+    from servobench.hil.commissioning import certificate_pdf
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(certificate_pdf, "write_pdf", lambda _made, path: path.write_bytes(b"%PDF-"))
         yield
 
 

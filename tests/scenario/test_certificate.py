@@ -23,6 +23,11 @@ def commissioned(out: Path, *options: str) -> int:
 
 
 @pytest.fixture(scope="module")
+def undrawn_certificates() -> None:
+    """This one is drawn."""
+
+
+@pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("certificate") / "lab"
     lab = out.parent / "lab.toml"
@@ -84,6 +89,8 @@ def test_the_manifest_is_that_of_the_folder(folder: Path) -> None:
     listed = dict(line.split("  ")[::-1] for line in (folder / "manifest.sha256").read_text().splitlines())
     files = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
     own = {"manifest.sha256", "certificate.html", "certificate.pdf", "certificate.json"}
+    written = (folder / "certificate.pdf").read_bytes()
+    assert (written[:5], b"%%EOF" in written[-8:]) == (b"%PDF-", True)
     assert set(listed) == files - own
     assert {"drive.toml", "recording/frames.arrow", "journal.jsonl"} <= set(listed)
     for name, digest in listed.items():

@@ -144,7 +144,6 @@ class Rig:
         figures = json.loads((out / "figures.json").read_text())
         filed = json.loads((out / "certificate.json").read_text())
         assert filed["verdict"] == figures["verdict"]
-        assert (out / "certificate.pdf").read_bytes().startswith(b"%PDF-")
         assert figures["error"] == str(result.error)
         left: dict[str, Any] = figures["left"]
         assert self.said[-len(left["text"]) :] == left["text"]

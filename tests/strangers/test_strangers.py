@@ -7,7 +7,6 @@ from servobench.hil.execution.bench import run_bench
 from servobench.hil.verdict.summary import Summary
 from servobench.hil.verdict.verdict import VerdictKind
 from servobench.virtual_bus.frame import Frame
-from tests.draws import few_of
 from tests.scenario.foreign_node import ForeignNode, beside_the_bench
 from tests.scenario.processes import EXAMPLES
 from tests.strangers.forger import PHASES
@@ -24,7 +23,7 @@ def test_single_forged_frames_are_named(world: str, seeds: range) -> None:
         assert (run.named, run.ended_by) == ([*run.forgeries], "")
 
 
-@pytest.mark.parametrize("seed", few_of([4, 3, 6], 1))
+@pytest.mark.parametrize("seed", [3, 4, 6])
 def test_no_stranger_is_seen_where_there_is_none(seed: int) -> None:
     """Among them SYNCs of another node, which go on while drives are stopped."""
     run = clean_run(drawn_plan(seed), 600, untold=seed % 4 == 0)

@@ -13,6 +13,7 @@ from servobench.drivers.bounded_file import parse_toml
 from servobench.hil.cli import app
 from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.configuration.motor_file import MotorFile
+from tests.draws import few_of
 from tests.twin.drawn import Hidden, hidden_drive
 
 SPEED = "reference.axis1.speed_rpm"
@@ -31,7 +32,7 @@ def recorded(hidden: Hidden, duration_s: float = 8.0, **changes: Any) -> Run:
 
 def test_k_2_holds_hidden_drives_and_predicts_runs_that_were_not_fitted() -> None:
     inside = together = 0
-    for seed in (2007, 2017):  # losses both ways, delays
+    for seed in few_of((2017, 2007), 1):  # delays, losses both ways
         hidden = hidden_drive(seed)
         other = run(hidden.bench, {"bench.duration_s": 3.0}, signals={SPEED: hidden.held_out_rpm})
         start = MotorFile.model_validate(hidden.start)
