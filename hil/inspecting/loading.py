@@ -30,7 +30,8 @@ from servobench.drivers.errors import BenchError, PeerFault, TransferAborted
 from servobench.drivers.sheets.dictionary import value_text
 from servobench.drivers.timebase import NS_PER_MS, Duration
 from servobench.hil.execution.world import World
-from servobench.hil.inspecting.parameters import CONNECT_NS, ParameterSet, Place
+from servobench.hil.inspecting.parameters import CONNECT_NS, ParameterSet
+from servobench.hil.inspecting.units import Place
 from servobench.hil.restoring.journal import (
     Journal,
     JournaledNetwork,

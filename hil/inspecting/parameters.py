@@ -7,7 +7,7 @@ domains are none: they say what a drive does at this moment, or change by themse
 import io
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -28,9 +28,8 @@ from servobench.drivers.sheets.dictionary import (
     variables_in,
 )
 from servobench.drivers.timebase import NS_PER_S, Duration
+from servobench.hil.inspecting.units import Place, SiUnit, read_units, units_of, with_unit
 
-Place = tuple[int, int]
-"""Index and sub-index."""
 NO_PARAMETERS: Final = frozenset(
     {
         Cia301.ERROR_HISTORY,
@@ -64,6 +63,8 @@ class ParameterSet:
     """Data types (CiA 301 7.4.7)."""
     unread: Mapping[Place, str]
     """Parameters of the data sheet that the drive did not give, with its reason."""
+    units: Mapping[Place, SiUnit] = field(default_factory=dict)
+    """Units that are known."""
 
 
 class ParameterDifference(NamedTuple):
@@ -73,6 +74,9 @@ class ParameterDifference(NamedTuple):
     name: str
     first: str
     second: str
+    first_si: str = ""
+    """In its unit; empty if none is known."""
+    second_si: str = ""
 
 
 def read_parameters(
@@ -108,7 +112,8 @@ def read_parameters(
         else:
             unread[place] = f"a DCF cannot hold its text {value!r}"
     device = frozenset((identity.vendor,)), frozenset((identity.product,))
-    return _described(dictionary, f"node {node} on {bus}", device, values, unread), dictionary, identity
+    read = _described(dictionary, f"node {node} on {bus}", device, values, unread)
+    return read, dictionary, identity
 
 
 def parameters_of(path: Path, node: int | None = None) -> ParameterSet:
@@ -125,7 +130,17 @@ def parameters_of(path: Path, node: int | None = None) -> ParameterSet:
         cure = "hil params save writes one; an EDS or XDD tells defaults only"
         raise BadInput(str(path), "ParameterValue", "none", "a DCF or XDC with parameter values", cure)
     told = told_identity(dictionary)
-    return _described(dictionary, str(path), (frozenset(told.vendor), frozenset(told.product)), values, {})
+    device = frozenset(told.vendor), frozenset(told.product)
+    return replace(_described(dictionary, str(path), device, values, {}), units=units_of(dictionary))
+
+
+def compared_drive(
+    network: CanopenNetwork, node: int, sheet: Path, bus: str, tell: Callable[[str], None]
+) -> ParameterSet:
+    """Upload every parameter that the data sheet names, with the drive's units; see
+    :func:`read_parameters`."""
+    read, dictionary, _ = read_parameters(network, node, sheet, bus, tell)
+    return replace(read, units=read_units(network, node, dictionary))
 
 
 def node_of(path: Path) -> int | None:
@@ -169,7 +184,11 @@ def differences(first: ParameterSet, second: ParameterSet) -> list[ParameterDiff
         owner = first if place in first.values else second
         texts = [_compared(each.values.get(place), owner.types[place]) for each in (first, second)]
         if texts[0] != texts[1]:
-            found.append(ParameterDifference(place, owner.names[place], *texts))
+            si = (
+                with_unit(each.values.get(place, b""), owner.types[place], each.units.get(place))
+                for each in (first, second)
+            )
+            found.append(ParameterDifference(place, owner.names[place], *texts, *si))
     return found
 
 

@@ -21,7 +21,8 @@ from servobench.hil.verdict.verdict import ExitStatus
 
 if TYPE_CHECKING:
     from servobench.hil.inspecting.loading import Loaded, LoadRequest
-    from servobench.hil.inspecting.parameters import ParameterDifference, ParameterSet, Place
+    from servobench.hil.inspecting.parameters import ParameterDifference, ParameterSet
+    from servobench.hil.inspecting.units import Place
     from servobench.hil.restoring.journal import JournaledNetwork
 
 _NAME_MAX = 40
@@ -181,7 +182,12 @@ def _print_loaded(
 
 
 def diff(
-    first: Annotated[Path, typer.Argument(metavar="FIRST.dcf", help="A DCF or XDC with parameter values.")],
+    first: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FIRST", help="A DCF or XDC with parameter values; of two drives their sheet."
+        ),
+    ],
     second: Annotated[
         Path | None,
         typer.Argument(metavar="[SECOND.dcf]", help="Another one; default: the drive of --bus and --node."),
@@ -190,16 +196,20 @@ def diff(
     node: Annotated[
         int | None, valued("--node", "N", "Node id of the drive to compare.", min=1, max=127)
     ] = None,
+    other: Annotated[
+        int | None, valued("--other", "N", "Node id of a drive to compare with --node's.", min=1, max=127)
+    ] = None,
     bitrate: BitrateOption = 1_000_000,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare the parameters of two files, or of a file and a drive.
+    """Compare the parameters of two files, of a file and a drive, or of two drives, in their units too.
 
     Nothing is written to the drive. Exit status: 0 equal, 1 they differ, 2 bad input, 3 no answer or another
     device.
 
     Examples:
       hil params diff drive.dcf --bus hub:lab --node 1
+      hil params diff drive.eds --bus hub:lab --node 1 --other 2
     """
     from servobench.hil.inspecting.parameters import differences, parameters_of
 
@@ -207,8 +217,11 @@ def diff(
         given = {"SECOND.dcf": second, "--bus": bus, "--node": node}
         found = ", ".join(name for name, value in given.items() if value is not None) or "FIRST.dcf alone"
         raise BadInput("SECOND.dcf", "", found, "a second file, or --bus and --node of a drive")
-    mine = parameters_of(first, node)
-    theirs = parameters_of(second) if second is not None else _of_drive(first, str(bus), node or 0, bitrate)
+    if other is not None and (second is not None or other == node):
+        raise BadInput("--other", "", other, "another drive than --node's, beside --bus and --node")
+    drives = [] if second is not None else _of_drives(first, str(bus), node or 0, other, bitrate)
+    mine = drives[0] if len(drives) > 1 else parameters_of(first, node)
+    theirs = parameters_of(second) if second is not None else drives[-1]
     found_differences = differences(mine, theirs)
     figures = {
         "first": mine.source,
@@ -220,13 +233,14 @@ def diff(
     raise typer.Exit(ExitStatus.FAILED if found_differences else ExitStatus.PASSED)
 
 
-def _of_drive(sheet: Path, bus: str, node: int, bitrate: int) -> "ParameterSet":
+def _of_drives(sheet: Path, bus: str, node: int, other: int | None, bitrate: int) -> "list[ParameterSet]":
     from servobench.drivers.canopen.write_list import NOTHING
     from servobench.hil.execution.world import drive_network
-    from servobench.hil.inspecting.parameters import read_parameters
+    from servobench.hil.inspecting.parameters import compared_drive
 
+    nodes = [node] if other is None else [node, other]
     with drive_network(bus, bitrate, NOTHING) as network:
-        return read_parameters(network, node, sheet, bus, _note)[0]
+        return [compared_drive(network, each, sheet, bus, _note) for each in nodes]
 
 
 def _note(text: str) -> None:
@@ -236,8 +250,8 @@ def _note(text: str) -> None:
 def _figures(each: "ParameterDifference") -> dict[str, Any]:
     from servobench.drivers.canopen.objects301 import object_name
 
-    figures = {"object": object_name(*each.place), "name": each.name}
-    return figures | {"first": each.first or None, "second": each.second or None}
+    values = {name: getattr(each, name) or None for name in ("first", "second", "first_si", "second_si")}
+    return {"object": object_name(*each.place), "name": each.name, **values}
 
 
 def _print_saved(count: int, refused: dict[str, str]) -> None:
@@ -255,5 +269,6 @@ def _print_differences(
     typer.echo(f"{len(found)} of {count} parameters differ: {mine.source}, {theirs.source}")
     for each in found:
         name = each.name if len(each.name) <= _NAME_MAX else f"{each.name[: _NAME_MAX - 3]}..."
-        values = (value or "none" for value in (each.first, each.second))
+        pairs = ((each.first, each.first_si), (each.second, each.second_si))
+        values = (f"{raw or 'none'}{f' ({si})' if si else ''}" for raw, si in pairs)
         typer.echo(f"  {object_name(*each.place):<11}{name:<{_NAME_MAX + 2}}{'  '.join(values)}")

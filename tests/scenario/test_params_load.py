@@ -1,6 +1,7 @@
 """``hil params load`` and ``clone`` on the hub, killed and gone on with, by the word of a third party."""
 
 import json
+import math
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -102,6 +103,38 @@ def test_a_clone_holds_the_same_but_what_is_of_its_node(bus: str, sheet: Path, t
     assert {key[0] for key in other} <= {0x1014, *range(0x1400, 0x1404), *range(0x1800, 0x1804), 0x2100}
     assert all(int.from_bytes(theirs[key], "little") & 0x7F == OTHER for key in other if key[0] < 0x2000)
     assert run(*clone[:-4], "--to", NODE, "--eds", sheet).returncode == 2
+
+
+def test_two_drives_are_compared_by_name_and_unit(bus: str, sheet: Path, tmp_path: Path) -> None:
+    saved = tmp_path / "other.dcf"
+    assert run("params", "save", saved, "--bus", bus, "--node", OTHER, "--eds", sheet).returncode == 0
+    text = saved.read_text()
+    for section, value in (("6072", "0x1F4"), ("6080", "0x64"), ("6083", "0x3E8"), ("1017", "0xC8")):
+        at = text.index("ParameterValue", text.index(f"[{section}]"))
+        text = f"{text[:at]}ParameterValue={value}{text[text.index(chr(10), at) :]}"
+    saved.write_text(text)
+    out = tmp_path / "out"
+    assert run("params", "load", saved, "--bus", bus, "--node", OTHER, "--out", out).returncode == 0
+    compared = ["params", "diff", sheet, "--bus", bus, "--node", NODE, "--other", OTHER]
+    done = run(*compared, "--json")
+    figures = json.loads(done.stdout)
+    assert (done.returncode, figures["first"][:6], figures["second"][:6]) == (1, "node 5", "node 6")
+    told = {
+        each["object"]: (each["name"], each["second"], each["second_si"]) for each in figures["differences"]
+    }
+    with Witness(bus.removeprefix("hub:"), OTHER) as witness:
+        rated = witness.read(0x6076, 0) or b""
+    torque_nm = int.from_bytes(rated, "little") * 1e-3 * 0.5
+    assert told["6072h:00"] == ("Max torque", "0x1F4", f"{torque_nm:.6g} N m")
+    assert told["6080h:00"][1:] == ("0x64", f"{100 * math.tau / 60:.6g} rad/s")
+    assert told["1017h:00"][1:] == ("0xC8", "0.2 s")
+    assert told["6083h:00"][2].endswith(" rad/s^2")
+    assert told["1014h:00"][1:] == (f"0x{0x80 + OTHER:X}", None)
+    assert f"0x1F4 ({torque_nm:.6g} N m)" in run(*compared).stdout
+    same = run("params", "diff", saved, "--bus", bus, "--node", OTHER, "--json")
+    assert (same.returncode, json.loads(same.stdout)["differences"]) == (0, [])
+    assert run(*compared[:-1], NODE).returncode == 2
+    assert run("restore", out / "journal.jsonl").returncode == 0
 
 
 def test_what_cannot_be_loaded_is_refused(bus: str, changed: Path, sheet: Path, tmp_path: Path) -> None:

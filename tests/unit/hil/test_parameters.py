@@ -18,6 +18,7 @@ from servobench.hil.inspecting.parameters import (
     differences,
     parameters_of,
 )
+from tests.rehearsals.rehearsal import made_sheet
 
 IDENTITY = Identity("a drive", 0xA11, 0xB22, 3, 4, 0x20192)
 KINDS = [kind for kind in DataType if kind is not DataType.DOMAIN]
@@ -114,3 +115,24 @@ def test_what_only_one_of_two_has_differs() -> None:
         (0x2001, "0x0", "0x1"),
         (0x2002, "", "0x1"),
     ]
+
+
+def test_files_are_compared_in_their_own_units(tmp_path: Path) -> None:
+    text = made_sheet(["2100h:01 a serial number"], tmp_path).read_text()
+    text = text.replace("AccessType=ro\nPDOMapping=0\nDefaultValue=305419896", "AccessType=rw\nPDOMapping=0")
+    values = {"2100sub0": (1, 2), "2100sub1": (3, 7), "6072": (500, 1000), "60C5": (1, 2)}
+    files = []
+    for number in range(2):
+        told = text
+        for section in ("2100sub0", "2100sub1"):
+            told = told.replace(f"[{section}]\n", f"[{section}]\nUnit=degC\nFactor=0.5\n")
+        for section, pair in values.items():
+            told = told.replace(f"[{section}]\n", f"[{section}]\nParameterValue={pair[number]}\n")
+        files.append(tmp_path / f"{number}.dcf")
+        files[-1].write_text(told)
+    found = {each.place: each[4:] for each in differences(*map(parameters_of, files))}
+    rated_nm = 0.001 * int(text.partition("[6076]")[2].partition("DefaultValue=")[2].split()[0])
+    assert found[0x2100, 1] == ("1.5 degC", "3.5 degC")
+    assert found[0x6072, 0] == (f"{0.5 * rated_nm:.6g} N m", f"{rated_nm:.6g} N m")
+    assert found[0x60C5, 0][1].endswith(" rad/s^2")
+    assert found[0x2100, 0] == ("", ""), "a count"
