@@ -206,6 +206,7 @@ outages: $(TOOLS) compile
 
 attack: $(TOOLS) compile
 	@$(BIN)/python -m tests.attack --seconds $(SECONDS)
+	@$(BIN)/python -m tests.attack.uneven examples/controllers/*-uneven.toml
 
 # Vendors' files are not in the repository: where the folder is missing they are left out, and the table says so.
 SHEETS ?= ../shared/eds

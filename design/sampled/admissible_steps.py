@@ -27,6 +27,8 @@ class Window:
     back: int
     first_s: float
     last_s: float
+    to_end: bool = False
+    """True if it lasts to the period's end: where periods are uneven, beyond the shortest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,10 +49,10 @@ class Family:
             if all(earlier <= later for earlier, later in itertools.pairwise(times_s)):
                 yield self.at(times_s)
 
-    def at(self, times_s: Sequence[float]) -> PeriodStep:
-        """Return the step whose switchings are at ``times_s``."""
+    def at(self, times_s: Sequence[float], longer_s: float = 0.0) -> PeriodStep:
+        """Return the step whose switchings are at ``times_s``; see :class:`PeriodStep`."""
         switches = [Switch(window.back, time_s) for window, time_s in zip(self.windows, times_s, strict=True)]
-        return PeriodStep(self.source, self.target, tuple(switches))
+        return PeriodStep(self.source, self.target, tuple(switches), longer_s)
 
 
 def node_count(network: SampledNetwork) -> int:
@@ -80,13 +82,13 @@ def families(network: SampledNetwork) -> list[Family]:
 def _arrivals(network: SampledNetwork, node: int) -> Iterator[Family]:
     """Yield the edges out of ``node``: for each sample that finally acts, all in between as steps on the
     way."""
-    behind, h = network.behind, network.period_s
+    behind, h = network.behind, network.shortest_s
     forced = node == node_count(network) - 1
     if not forced:
         yield Family(node, node + 1, ())
     windows = []
     for back in range(min(node, behind), -1, -1):
-        windows.append(Window(back, 0.0, network.offset_s if back == behind else h))
+        windows.append(Window(back, 0.0, network.offset_s if back == behind else h, back != behind))
     for count in range(1, len(windows) + 1):
         chosen = windows[:count]
         yield Family(node, chosen[-1].back, tuple(chosen))

@@ -30,6 +30,7 @@ from servobench.design.sampled.loss_patterns import (
     pattern_gains,
     repeated,
     slowest_pattern,
+    with_uneven_periods,
     worst_gain,
 )
 from servobench.design.sampled.peak_certificate import certify_peak
@@ -110,11 +111,20 @@ def analyse_loop(loop: SwitchedLoop, remembering: Sequence[bool] = (False, True)
     regular = regular_patterns(loop)
     gains = pattern_gains(loop, regular).tolist()
     slowest = min([slowest_pattern(loop), *regular], key=lambda pattern: pattern.decay_per_s)
+    if loop.network.uneven_s:
+        uneven = with_uneven_periods(loop, slowest)
+        slowest = min([slowest, *uneven], key=lambda pattern: pattern.decay_per_s)
     if slowest.decay_per_s <= 0.0:
         why = "a pattern is known that destabilises it"
         worst = WorstGain(slowest, math.inf)
         return SampledAnalysis(loop, regular, gains, slowest, worst, None, None, why)
     worst = worst_gain(loop, [*regular, slowest])
+    if loop.network.uneven_s:
+        uneven = with_uneven_periods(loop, worst.pattern)
+        by_gain = [
+            WorstGain(*each) for each in zip(uneven, pattern_gains(loop, uneven).tolist(), strict=True)
+        ]
+        worst = max([worst, *by_gain], key=lambda each: each.gain)
     patterns = [worst.pattern, slowest, *regular]
     decay_proof, gain_proof, why = None, None, ""
     try:
@@ -132,6 +142,8 @@ def with_peak(analysis: SampledAnalysis) -> SampledAnalysis:
     assert isinstance(analysis.loop, HeldLoop)
     if analysis.refuted:
         return replace(analysis, peak_found=math.inf)
+    if analysis.network.uneven_s:
+        return analysis  # peaks are of even periods
     reached = worst_peak(analysis.loop)
     bound = None
     if analysis.decay_certified_per_s:

@@ -63,11 +63,15 @@ class SampledNetwork:
     delay_max_s: float
     """T: from sample to actuator."""
     agreed_delay_s: float = 0.0
-    """eta of the strategies stamp and history."""
+    """eta of the strategies stamp and history: whole periods count as so many samples later."""
+    uneven_s: float = 0.0
+    """Largest departure of the distance of two samples from the period; any from one to the next."""
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.period_s) and self.period_s > 0.0):
             raise UnsuitableNetwork(f"a period of {self.period_s * 1e3:g} ms", "more than 0")
+        if not 0.0 <= self.uneven_s < self.period_s:
+            raise UnsuitableNetwork(f"samples {self.uneven_s * 1e3:g} ms uneven", "less than a period")
         if self.losses_max < 0:
             raise UnsuitableNetwork(f"{self.losses_max} losses in a row", "0 or more")
         if not (math.isfinite(self.delay_max_s) and self.delay_max_s >= 0.0):
@@ -87,13 +91,24 @@ class SampledNetwork:
     def behind(self) -> int:
         """Periods from a sample to the begin of the last one in which it may begin to act."""
         if self.strategy is Strategy.ARRIVAL:
-            return periods_of(self.delay_max_s, self.period_s)[0]
+            return periods_of(self.delay_max_s, self.shortest_s)[0]
         return math.floor(self.agreed_delay_s / self.period_s + _WHOLE)
 
     @property
     def offset_s(self) -> float:
         """Latest instant of its action in that period."""
-        return max(0.0, min(self._latest_s - self.behind * self.period_s, self.period_s))
+        period_s = self.shortest_s if self.strategy is Strategy.ARRIVAL else self.period_s
+        return max(0.0, min(self._latest_s - self.behind * period_s, period_s))
+
+    @property
+    def shortest_s(self) -> float:
+        """Shortest period."""
+        return self.period_s - self.uneven_s
+
+    @property
+    def longest_s(self) -> float:
+        """Longest period."""
+        return self.period_s + self.uneven_s
 
     @property
     def _latest_s(self) -> float:
@@ -102,7 +117,7 @@ class SampledNetwork:
     @property
     def constant_delay_s(self) -> float:
         """Delay of the equivalent loop with a constant delay, [Ling2012] (2.13)."""
-        return (self.losses_max + 1) * self.period_s + self.delay_max_s
+        return (self.losses_max + 1) * self.longest_s + self.delay_max_s
 
     @property
     def age_max_s(self) -> float:
@@ -110,8 +125,8 @@ class SampledNetwork:
         if self.strategy is Strategy.ARRIVAL:
             return self.constant_delay_s
         if self.strategy is Strategy.STAMP:
-            return self.agreed_delay_s + (self.losses_max + 1) * self.period_s
-        return self.agreed_delay_s + self.period_s
+            return self.agreed_delay_s + (self.losses_max + 1) * self.longest_s
+        return self.agreed_delay_s + self.longest_s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,6 +162,8 @@ class PeriodStep:
     source: int
     target: int
     switches: tuple[Switch, ...]
+    longer_s: float = 0.0
+    """By which it is longer than the network's period."""
 
 
 class HeldInput:
@@ -220,7 +237,7 @@ class HeldLoop(SwitchedLoop):
         for switch in step.switches:
             chain += [Flow(switch.at_s - at_s), Jump(self.applying(switch.back))]
             at_s = switch.at_s
-        return [*chain, Flow(self.network.period_s - at_s)]
+        return [*chain, Flow(self.network.period_s + step.longer_s - at_s)]
 
     def differences(self, backs: Sequence[int]) -> Array:
         n = len(self.model.A)
@@ -339,22 +356,34 @@ class LossyLoop(SwitchedLoop):
     """``periods`` of ``model``; as many losses in a row as ``periods`` knows of."""
 
     def __init__(
-        self, model: SpeedModel, period_s: float, delay_s: float, periods: LossyPeriods, kept: int
+        self, model: SpeedModel, times_s: tuple[float, float, float], periods: LossyPeriods, kept: int
     ) -> None:
+        """``times_s``: period, delay, and by how much periods are uneven."""
         first = periods.lost[0]
         assert isinstance(first, Jump)
         losses = len(periods.came) - 1
-        network = SampledNetwork(Strategy.STAMP, period_s, losses, delay_s, delay_s)
+        period_s, delay_s, uneven_s = times_s
+        network = SampledNetwork(Strategy.STAMP, period_s, losses, delay_s, delay_s, uneven_s)
         super().__init__(model, network, len(first.J), kept)
         self._periods = periods
 
     def chain(self, step: PeriodStep) -> list[Operation]:
-        return list(self._periods.came[step.source] if step.switches else self._periods.lost)
+        own = self._periods.came[step.source] if step.switches else self._periods.lost
+        return _longer(own, step.longer_s)
 
     def variants(self, step: PeriodStep) -> list[list[Operation]]:
         if not step.switches:
             return [self.chain(step)]
-        return [list(each) for each in self._periods.corners[step.source]]
+        return [_longer(each, step.longer_s) for each in self._periods.corners[step.source]]
+
+
+def _longer(period: Period, by_s: float) -> list[Operation]:
+    """Return a period that ends so much later."""
+    *begun, last = period
+    if by_s == 0.0:
+        return [*begun, last]
+    assert isinstance(last, Flow)
+    return [*begun, Flow(last.length_s + by_s)]
 
 
 def _ordered(period: Period, order: Sequence[int]) -> Period:

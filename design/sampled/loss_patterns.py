@@ -18,7 +18,14 @@ from numpy.typing import ArrayLike
 
 from servobench.design.delay.delay_loop import Array
 from servobench.design.sampled.admissible_steps import Delivery, Family, families, steps_of
-from servobench.design.sampled.held_loop import Operation, PeriodStep, SwitchedLoop, decay_of
+from servobench.design.sampled.held_loop import (
+    Operation,
+    PeriodStep,
+    Strategy,
+    Switch,
+    SwitchedLoop,
+    decay_of,
+)
 from servobench.design.sampled.pattern_chains import (
     Chain,
     Entries,
@@ -60,6 +67,8 @@ _LEAST = 1e-5
 """Multiple of the load's effect in one period: start of the span, and its inverse the end."""
 _ROUNDS = 30
 """Rounds of changes to the best pattern."""
+_UNEVEN_MAX = 12
+"""Periods of a pattern up to which each is tried in several lengths."""
 _DELAY_PARTS = (0.0, 0.5, 1.0)
 """Parts of a window at which the instant of a single switching is tried."""
 _ENDS = (0.0, 1.0)
@@ -109,7 +118,8 @@ def repeated(loop: SwitchedLoop, deliveries: Sequence[Delivery]) -> Pattern:
 
 def pattern_of(loop: SwitchedLoop, steps: Sequence[PeriodStep]) -> Pattern:
     """Return the pattern of ``steps`` with its decay."""
-    return Pattern(tuple(steps), decay_of(_transition(loop, steps), len(steps) * loop.network.period_s))
+    whole_s = sum(loop.network.period_s + step.longer_s for step in steps)
+    return Pattern(tuple(steps), decay_of(_transition(loop, steps), whole_s))
 
 
 def chain_of(loop: SwitchedLoop, pattern: Pattern) -> list[Operation]:
@@ -207,6 +217,47 @@ def worst_gain(loop: SwitchedLoop, known: Sequence[Pattern], changed_max: int = 
             worst, WorstGain(pattern, float(pattern_gains(loop, [pattern])[0])), key=lambda each: each.gain
         )
     return worst
+
+
+def with_uneven_periods(loop: SwitchedLoop, known: Pattern) -> list[Pattern]:
+    """Return ``known`` with periods of the lengths, each the shortest, the usual or the longest, of largest
+    gain and of least decay that single changes find; every sample acts as late as before."""
+    found = []
+    for by_gain in (True, False):
+
+        def worse(tried: list[Pattern], by_gain: bool = by_gain) -> tuple[float, Pattern]:
+            scores = pattern_gains(loop, tried, 1e-5) if by_gain else [-each.decay_per_s for each in tried]
+            place = int(np.argmax(scores))
+            return float(scores[place]), tried[place]
+
+        best = worse([known])
+        uneven_s, count = loop.network.uneven_s, len(known.steps)
+        longer = [tuple([by_s] * count) for by_s in (-uneven_s, 0.0, uneven_s)]
+        for place in range(-1, count if count <= _UNEVEN_MAX else -1):
+            if place >= 0:
+                now = tuple(step.longer_s for step in best[1].steps)
+                longer = [(*now[:place], by_s, *now[place + 1 :]) for by_s in (-uneven_s, 0.0, uneven_s)]
+            best = max(
+                best, worse([_lengthened(loop, known, each) for each in longer]), key=lambda each: each[0]
+            )
+        found.append(best[1])
+    return found
+
+
+def _lengthened(loop: SwitchedLoop, known: Pattern, longer_s: Sequence[float]) -> Pattern:
+    """Return ``known`` with periods longer by so much; samples act as long after they were taken."""
+    steps = []
+    for place, (step, own_s) in enumerate(zip(known.steps, longer_s, strict=True)):
+        switches = []
+        for switch in step.switches:
+            at_s = switch.at_s
+            if loop.network.strategy is Strategy.ARRIVAL:
+                at_s -= sum(longer_s[(place - back) % len(longer_s)] for back in range(1, switch.back + 1))
+                at_s = min(max(at_s, 0.0), loop.network.period_s + own_s)
+            switches.append(Switch(switch.back, at_s))
+        ordered = sorted(switches, key=lambda each: (each.at_s, -each.back))
+        steps.append(PeriodStep(step.source, step.target, tuple(ordered), own_s))
+    return pattern_of(loop, steps)
 
 
 class _Contest:

@@ -153,10 +153,11 @@ def _graphs(
 ) -> Iterator[tuple[int, list[Edge]]]:
     """Yield graphs from delivery to delivery; with an ``other`` loop period by period, as the bounds add
     up."""
-    count = delivery_node_count(loop.network) if other is None else node_count(loop.network)
+    by_period = other is not None or loop.network.uneven_s > 0.0
+    count = node_count(loop.network) if by_period else delivery_node_count(loop.network)
     for way in ways_of(loop, remembering, count):
         nodes, edges = edges_of(loop, L, way, other)
-        yield between_deliveries(edges) if other is None else (nodes, edges)
+        yield (nodes, edges) if by_period else between_deliveries(edges)
 
 
 def ways_of(loop: SwitchedLoop, remembering: Sequence[bool], nodes: int) -> Sequence[bool]:

@@ -12,6 +12,7 @@ from servobench.design.delay.delay_loop import Array
 from servobench.design.sampled.admissible_steps import families, node_count
 from servobench.design.sampled.held_loop import PeriodStep, SwitchedLoop
 from servobench.design.sampled.step_maps import Corners, corners_of
+from servobench.design.sampled.uneven_ends import with_ends
 
 _EPSILON = 2e-5
 """epsilon of :mod:`servobench.design.sampled.step_maps`: the loss of a certificate, per period, between
@@ -20,6 +21,8 @@ _BEND = 0.7 * _EPSILON
 """Bound of a bend where P is of size 1; its square over epsilon is of the order of epsilon."""
 _EPSILON_OF_RATES = 5e-4
 """The same where the rate of the current loop lies between two."""
+_EPSILON_OF_ENDS = 5e-4
+"""The same where periods are uneven, of switchings as of ends."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +38,13 @@ class Edge:
     corners."""
     before: tuple[PeriodStep, ...] = ()
     """Periods without a delivery, before that of the corners."""
+    ends_epsilon: float = 0.0
+    """The same of the ends of uneven periods (:mod:`servobench.design.sampled.uneven_ends`)."""
+
+    @property
+    def spread(self) -> float:
+        """Factor of a value that covers what lies between the corners."""
+        return (1.0 + self.epsilon) * (1.0 + self.ends_epsilon)
 
     @property
     def periods(self) -> int:
@@ -52,6 +62,14 @@ def edges_of(
     """
     plain = []
     for family in families(loop.network):
+        if loop.network.uneven_s:
+            epsilon = _EPSILON_OF_ENDS
+            corners = with_ends(
+                loop, corners_of(loop, family, coordinates, 0.7 * epsilon), coordinates, epsilon
+            )
+            own = epsilon if corners.terms else 0.0
+            plain.append(Edge(family.source, family.target, corners, loop, own, ends_epsilon=epsilon))
+            continue
         if other is None:
             corners = corners_of(loop, family, coordinates, _BEND)
             plain.append(

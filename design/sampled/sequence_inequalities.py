@@ -18,6 +18,7 @@ from servobench.design.sampled.held_loop import SwitchedLoop
 from servobench.design.sampled.loss_patterns import Pattern, repeated
 from servobench.design.sampled.sequence_graph import Edge
 from servobench.design.sampled.step_maps import step_maps, value_maps
+from servobench.design.sampled.uneven_ends import ends_covered
 from servobench.design.sampled.value_map import ValueMap, nothing
 
 MARGIN = 1e-9
@@ -53,7 +54,8 @@ class Inequalities:
         self.nodes = nodes
         self.edges = edges
         self.L = L
-        self.period_s = loop.network.period_s
+        self.period_s = loop.network.longest_s
+        """Time in which a period's decay is reached, at most."""
         self._inverse = np.linalg.inv(L)
         self.level = level
         self._by_family: dict[int, ValueMap] = {}
@@ -67,8 +69,8 @@ class Inequalities:
         disturbance."""
         key = id(edge.corners)
         if key not in self._by_family:
-            gain = math.inf if level is None else level / math.sqrt(1.0 + edge.epsilon)
-            plain = value_maps(edge.loop, edge.corners.family, edge.corners.times_s, gain)
+            gain = math.inf if level is None else level / math.sqrt(edge.spread)
+            plain = value_maps(edge.loop, edge.corners, gain)
             self._by_family[key] = self._turned(plain)
         return self._by_family[key]
 
@@ -97,9 +99,8 @@ class Inequalities:
             (
                 corners.differences[s] @ self._inverse,
                 math.sqrt(factor) * corners.bends[:, s],
-                factor * corners.output_bends[:, s] ** 2
-                if self.level is not None
-                else np.zeros(len(corners.times_s)),
+                factor * corners.output_bends[:, s] ** 2 * float(self.level is not None)
+                + corners.constants[:, s],
             )
             for s in range(len(corners.differences))
         ]
@@ -132,11 +133,22 @@ class Inequalities:
         if self.level is not None:
             maps, before = (replace(each, W=each.W / squared) for each in (maps, before))
         value, finite = maps.of(P[edge.target])
-        value = (1.0 + edge.epsilon) * value + self._between(P[edge.target], place, part)
+        value = edge.spread * value + self._between(P[edge.target], place, part)
         if not edge.before:
             return value, finite
         whole, also_finite = before.of(value)
         return whole, finite & also_finite
+
+    def ends_are_covered(self, P: Sequence[Array]) -> bool:
+        """Return True if what lies between the ends of uneven periods is within its share of each value."""
+        loop = self._loop
+        if not loop.network.uneven_s:
+            return True
+        for target, edge in {edge.target: edge for edge in self.edges}.items():
+            gain = math.inf if self.level is None else self.level / math.sqrt(edge.spread)
+            if not ends_covered(loop, self.L.T @ P[target] @ self.L, gain, self.L, edge.ends_epsilon):
+                return False
+        return True
 
     def _between(self, P: Array, place: int, part: slice) -> Array:
         total = np.zeros((len(self.edges[place].corners.times_s[part]), *P.shape))
@@ -194,7 +206,7 @@ def _corner_inequality(
     """
     edge, k, maps, before = system.edges[place], len(system.L), system.maps[place], system.before[place]
     source, target = f"P{edge.source}", f"P{edge.target}"
-    spread = 1.0 + edge.epsilon
+    spread = edge.spread
     disturbed = system.level is not None
     first = math.sqrt(spread) * _root(before.W) if disturbed and edge.before else np.zeros((k, 0))
     second = _root(maps.W[corner]) if disturbed else np.zeros((k, 0))
@@ -270,6 +282,8 @@ def _broken(
 def proved(system: Inequalities, P: Sequence[Array], growth: float) -> float:
     """Return the smallest eigenvalue of all inequalities."""
     own = min(float(np.linalg.eigvalsh(matrix)[0]) for matrix in P)
+    if own > 0.0 and not system.ends_are_covered(P):
+        return -math.inf
     slacks = (float(system.slack(P, place, growth).min()) for place in range(len(system.edges)))
     return min(own, *slacks)
 

@@ -54,6 +54,10 @@ class Corners:
     output_bends: Array
     differences: Array
     """(windows, kept): Delta_s."""
+    constants: Array
+    """(N, windows): what is added to the value, times the square of Delta_s xi."""
+    longer_s: Array
+    """(N,): by which the period is longer."""
 
     @property
     def terms(self) -> int:
@@ -75,6 +79,8 @@ class Corners:
             np.concatenate([self.bends, np.broadcast_to(bend, (count, added, n))], axis=1),
             np.hstack([self.output_bends, np.full((count, added), output)]),
             np.vstack([self.differences, rows]),
+            np.zeros((count, rows.shape[0] + self.differences.shape[0])),
+            self.longer_s,
         )
 
 
@@ -86,7 +92,8 @@ def corners_of(loop: SwitchedLoop, family: Family, coordinates: Array, target: f
         variants, windows = len(loop.variants(family.at(ends_s))), len(ends_s)
         none = np.zeros((variants, windows))
         bends = np.zeros((variants, windows, len(loop.model.A)))
-        return Corners(family, np.tile(ends_s, (variants, 1)), bends, none, differences)
+        times_s = np.tile(ends_s, (variants, 1))
+        return Corners(family, times_s, bends, none, differences, none, np.zeros(variants))
     n = len(loop.model.A)
     inverse = np.linalg.inv(coordinates)
     grids, bounds = [], []
@@ -103,7 +110,8 @@ def corners_of(loop: SwitchedLoop, family: Family, coordinates: Array, target: f
             # between two instants of a grid the bound of the later covers their cell
             place = min(int(np.searchsorted(grids[s], time_s - _SAME_S)), len(grids[s]) - 1)
             all_bends[row, s], outputs_s[row, s] = bounds[s][0][place], bounds[s][1][place]
-    return Corners(family, np.array(corners).reshape(count, windows), all_bends, outputs_s, differences)
+    times_s, none = np.array(corners).reshape(count, windows), np.zeros((count, windows))
+    return Corners(family, times_s, all_bends, outputs_s, differences, none, np.zeros(count))
 
 
 def _ordered(windows: Sequence[Window], grids: Sequence[Array]) -> Iterator[tuple[float, ...]]:
@@ -139,7 +147,7 @@ def _grid(loop: SwitchedLoop, window: Window, coordinates: Array, share: float) 
     stack = [(window.first_s, window.last_s)]
     while stack:
         first_s, last_s = stack.pop()
-        bend, output = _bend(loop, first_s, last_s)
+        bend, output = bend_of(loop, first_s, last_s)
         size = math.hypot(float(np.sum(np.linalg.norm(coordinates, axis=0) * bend)), output)
         if size > share and len(times) + len(stack) < _CELLS_MAX:
             middle_s = 0.5 * (first_s + last_s)
@@ -154,7 +162,7 @@ def _grid(loop: SwitchedLoop, window: Window, coordinates: Array, share: float) 
     return np.array(times), np.maximum(left, right), np.maximum(*own)
 
 
-def _bend(loop: SwitchedLoop, first_s: float, last_s: float) -> tuple[Array, float]:
+def bend_of(loop: SwitchedLoop, first_s: float, last_s: float) -> tuple[Array, float]:
     """Return width^2/8 times the largest of F'' on a cell: of the state at the period's end (n,), of the
     output."""
     A, B1, C = loop.model.A, loop.model.B1, loop.model.C
@@ -165,14 +173,15 @@ def _bend(loop: SwitchedLoop, first_s: float, last_s: float) -> tuple[Array, flo
     parts = max(1, math.ceil(width * float(np.linalg.norm(size, 2)) / _SUBCELL_TURN))
     step = expm(A * (width / parts))
     grow = expm(size * (width / parts))
-    vector = A @ expm(A * (loop.network.period_s - last_s)) @ B1
+    vector = A @ expm(A * max(0.0, loop.network.shortest_s - last_s)) @ B1
     largest = np.zeros(len(A))
-    for _ in range(parts):
+    uneven_s = loop.network.longest_s - loop.network.shortest_s
+    for _ in range(parts + math.ceil(parts * uneven_s / width)):
         largest = np.maximum(largest, grow @ np.abs(vector))
         vector = step @ vector
     slope = C @ A
     # the square integral of the output's second derivative, over the whole rest of the period
-    rest_s = loop.network.period_s - first_s
+    rest_s = loop.network.longest_s - first_s
     energy = _energy(A, B1, slope, rest_s)
     return width**2 / 8.0 * largest, width**2 / 8.0 * math.sqrt(energy)
 
@@ -206,14 +215,16 @@ def _energy(A: Array, B1: Array, row: Array, length_s: float) -> float:
     return max(float(B1 @ gramian @ B1), 0.0)
 
 
-def value_maps(loop: SwitchedLoop, family: Family, times_s: Array, gain: float) -> ValueMap:
-    """Return the value maps of the steps of ``family`` at ``times_s`` (N, windows), between the entries
-    kept."""
+def value_maps(loop: SwitchedLoop, corners: Corners, gain: float) -> ValueMap:
+    """Return the value maps (N,) of the steps of ``corners``, between the entries kept."""
+    family, times_s = corners.family, corners.times_s
     if not isinstance(loop, HeldLoop):
-        return stacked(_chain_maps(loop, loop.variants(family.at(times_s[0].tolist())), gain))
+        ends = dict.fromkeys(corners.longer_s.tolist())
+        steps = [family.at(times_s[0].tolist(), longer_s) for longer_s in ends]
+        return stacked(_chain_maps(loop, [each for step in steps for each in loop.variants(step)], gain))
     h = loop.network.period_s
     count = len(times_s)
-    edges = np.hstack([np.zeros((count, 1)), times_s, np.full((count, 1), h)])
+    edges = np.hstack([np.zeros((count, 1)), times_s, h + corners.longer_s[:, None]])
     lengths = np.maximum(np.diff(edges, axis=1), 0.0)
     unique, places = np.unique(np.round(lengths / h, 14), return_inverse=True)
     places = places.reshape(lengths.shape)

@@ -190,7 +190,8 @@ def fused_losses(made: FusedDesign, losses_max: int) -> SampledAnalysis:
 
     came = tuple(map(period, made.gains[: losses_max + 1]))
     periods = LossyPeriods(period(None), came, tuple((each,) for each in came))
-    return analyse_loop(LossyLoop(own.model, request.period_s, request.delay_s, periods, own.size - 1))
+    times_s = request.period_s, request.delay_s, 0.0
+    return analyse_loop(LossyLoop(own.model, times_s, periods, own.size - 1))
 
 
 UNSURE = 4

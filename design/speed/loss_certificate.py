@@ -14,11 +14,13 @@ from dataclasses import replace
 import numpy as np
 
 from servobench.design.delay.delay_loop import Array
+from servobench.design.errors import NoSolution
 from servobench.design.sampled.analysis import SampledAnalysis, analyse_loop
 from servobench.design.sampled.held_loop import Jump, LossyLoop, LossyPeriods, Operation, Period, with_entry
 from servobench.design.sampled.loss_patterns import Pattern
 from servobench.design.speed.hinf_design import HinfDesign
 from servobench.design.speed.hinf_loop import HinfLoop
+from servobench.design.speed.plant_loop import split
 from servobench.design.speed.predictor_design import PredictorDesign, Sample, losses_gain, samples_gain
 from servobench.design.speed.predictor_gains import GainBoxes
 from servobench.design.speed.predictor_loop import PredictorLoop
@@ -42,12 +44,25 @@ def with_losses(attempt: Attempt, losses_max: int) -> list[SampledAnalysis]:
 
 
 def hinf_losses(made: HinfDesign, losses_max: int) -> SampledAnalysis:
-    """Analyse an H-infinity controller with at most so many losses in a row."""
-    return analyse_loop(lossy_hinf(made.loop(), losses_max))
+    """Analyse an H-infinity controller with at most so many losses in a row. Raises NoSolution."""
+    request = made.request
+    if (
+        request.uneven_s
+        and split(request.delay_s, request.period_s)[0] != split(request.delay_max_s, request.period_s)[0]
+    ):
+        raise NoSolution(
+            "certificate for uneven periods",
+            "commands act in the period after that of their instant",
+            "a delay of whole periods, as where commands act at SYNCs, has none between",
+        )
+    return analyse_loop(lossy_hinf(made.loop(), losses_max, made.request.uneven_s))
 
 
-def lossy_hinf(loop: HinfLoop, losses_max: int) -> LossyLoop:
-    """Return ``loop`` with the held error as its last state, before the commands on their way."""
+def lossy_hinf(loop: HinfLoop, losses_max: int, uneven_s: float = 0.0) -> LossyLoop:
+    """Return ``loop`` with the held error as its last state, before the commands on their way.
+
+    ``uneven_s``: of :class:`SampledNetwork`; commands act a constant delay behind the last sample before.
+    """
     first, *rest = loop.chain()
     assert isinstance(first, Jump)
     size, commands = loop.size, slice(loop.first_command, loop.size)
@@ -64,7 +79,7 @@ def lossy_hinf(loop: HinfLoop, losses_max: int) -> LossyLoop:
     ]
     periods = LossyPeriods((Jump(lost), *after), (came,) * count, ((came,),) * count).ordered(order)
     # the oldest command is the one in force
-    return LossyLoop(loop.model, loop.controller.period_s, loop.delay_s, periods, size)
+    return LossyLoop(loop.model, (loop.controller.period_s, loop.delay_s, uneven_s), periods, size)
 
 
 def predictor_losses(made: PredictorDesign, losses_max: int) -> SampledAnalysis:
@@ -121,7 +136,7 @@ def lossy_predictor(made: PredictorDesign, losses_max: int) -> LossyLoop:
         tuple(tuple(map(period, corners)) for corners in filter_gains(made, losses_max)),
     )
     # the oldest command is the one in force
-    return LossyLoop(own.model, request.period_s, request.delay_s, periods, own.size - 1)
+    return LossyLoop(own.model, (request.period_s, request.delay_s, 0.0), periods, own.size - 1)
 
 
 def _quiet_gain(made: PredictorDesign, lost: int) -> Array:

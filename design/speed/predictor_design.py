@@ -94,6 +94,8 @@ class PredictorRequest:
     dead_time_s: float = 0.0
     """Dead time of the drive: from a command's instant to its voltage, and from a sample's to that of its
     count."""
+    uneven_s: float = 0.0
+    """Largest departure of the distance of two samples from the period, for the certificate."""
 
     @property
     def delay_s(self) -> float:

@@ -13,7 +13,7 @@ from typing import Any
 
 from flint import arb, arb_mat
 
-from servobench.design.verify.balls import cut, number, unit
+from servobench.design.verify.balls import NotProved, cut, number, unit
 
 Operation = tuple[str, Any]
 """("jump", J) or ("flow", length in us)."""
@@ -57,6 +57,18 @@ class RebuiltLoop:
     """The jump when the sample of so many periods ago begins to act."""
     inputs: list[list[arb]]
     """The row of xi, at the begin of the period, that is the input then; the input in force comes last."""
+    uneven_us: Fraction = Fraction(0)
+    """Largest departure of a period from ``period_us``."""
+
+    @property
+    def shortest_us(self) -> Fraction:
+        """Shortest period."""
+        return self.period_us - self.uneven_us
+
+
+def uneven_of(file: dict[str, Any]) -> Fraction:
+    """Return by how much the distance of two SYNCs may depart from the period, us."""
+    return Fraction(file["made_for"].get("sync_within_us", 0))
 
 
 def motor_of(file: dict[str, Any]) -> tuple[arb, arb, arb, arb]:
@@ -83,17 +95,20 @@ def state_feedback(file: dict[str, Any]) -> RebuiltLoop:
     E = [[entry] for entry in [*loaded, zero]]
     C = [[arb(1) if place == 1 else zero] for place in range(n + 1)]
     h, T, D = Fraction(made["period_us"]), Fraction(made["delay_max_us"]), made["losses_in_a_row_max"]
-    arrival = made["strategy"] == "arrival"
+    arrival, uneven = made["strategy"] == "arrival", uneven_of(file)
     latest = T if arrival else Fraction(made["agreed_delay_us"])
-    behind = max(0, math.ceil(latest / h) - 1) if arrival else int(latest // h)
-    offset, size = latest - behind * h, n + 2 + behind
+    shortest = h - uneven if arrival else h
+    behind = max(0, math.ceil(latest / shortest) - 1) if arrival else int(latest // h)
+    if arrival and uneven and behind > 1:
+        raise NotProved("a sample may act after two of the shortest periods")
+    offset, size = latest - behind * shortest, n + 2 + behind
     sampled = unit(size, *((place, place - 1) for place in range(n + 2, size)))
     sampled[n + 1] = [*K, *[zero] * (size - n)]
     begin: Operation = ("jump", arb_mat(sampled))
     applying = [arb_mat(unit(size, (n, n + 1 + back))) for back in range(behind + 1)]
     if arrival:
         count = D + 1 + behind
-        steps = [step for node in range(count) for step in arrivals(node, count, behind, offset, h)]
+        steps = [step for node in range(count) for step in arrivals(node, count, behind, offset, shortest)]
     else:
         count = 1 if made["strategy"] == "history" else D + 1
         chain = (begin, ("flow", offset), ("jump", applying[behind]), ("flow", h - offset))
@@ -101,7 +116,9 @@ def state_feedback(file: dict[str, Any]) -> RebuiltLoop:
         steps += [RebuiltStep(node, node + 1) for node in range(count - 1)]
     inputs = [sampled[n + 1], *(unit(size)[n + back] for back in range(1, behind + 1)), unit(size)[n]]
     idle: tuple[Operation, ...] = (begin, ("flow", h))
-    return RebuiltLoop(F, arb_mat(E), arb_mat(C), h, size, size - 1, count, steps, idle, applying, inputs)
+    return RebuiltLoop(
+        F, arb_mat(E), arb_mat(C), h, size, size - 1, count, steps, idle, applying, inputs, uneven
+    )
 
 
 def coupled(
@@ -176,7 +193,10 @@ def of_samples(
     steps = [RebuiltStep(node, 0, chains=chains) for node, chains in enumerate(came)]
     steps += [RebuiltStep(node, node + 1) for node in range(count - 1)]
     idle = (("jump", lost), *after)
-    return RebuiltLoop(F, arb_mat(E), arb_mat(C), h, size, size - 1, count, steps, idle, [], [])
+    uneven = uneven_of(file)
+    if uneven and end:
+        raise NotProved("uneven periods of a controller that knows them")
+    return RebuiltLoop(F, arb_mat(E), arb_mat(C), h, size, size - 1, count, steps, idle, [], [], uneven)
 
 
 def hinf(file: dict[str, Any]) -> RebuiltLoop:
@@ -186,7 +206,10 @@ def hinf(file: dict[str, Any]) -> RebuiltLoop:
     B, L, C = ([number(entry) for entry in file[key]] for key in "BLC")
     D = number(file["D"])
     delay = Fraction(file["made_for"]["delay_max_us"]) + Fraction(proof["dead_time_us"])
-    m, behind = len(C), int(delay // Fraction(file["made_for"]["period_us"]))
+    h = Fraction(file["made_for"]["period_us"])
+    m, behind = len(C), int(delay // h)
+    if uneven_of(file) and behind != file["made_for"]["delay_max_us"] // h:
+        raise NotProved("commands act in the period after that of their instant")
     held, command = 4 + m, 5 + m
     size = command + behind + 1
 

@@ -28,6 +28,7 @@ from servobench.design.verify.balls import (
     whitening,
 )
 from servobench.design.verify.loops import Operation, RebuiltLoop, RebuiltStep
+from servobench.design.verify.uneven import Ends
 
 EPS = 1.4e-5
 """Share of a value that may be lost between two instants of a grid: half of it is lost in gain, and a smaller
@@ -41,7 +42,7 @@ class Proof(ABC):
     """The inequalities of one set of matrices."""
 
     def __init__(self, loop: RebuiltLoop, rows: Sequence[Any], gain: arb | None, decay: arb) -> None:
-        self.loop, self.gain, self.decay = loop, gain, decay
+        self.loop, self.gain, self.decay, self.eps = loop, gain, decay, EPS
         self.P = [of_rows(each) for each in rows]
         self.P = [(each + each.transpose()) / 2 for each in self.P]
         if any(each.nrows() != loop.kept for each in self.P):
@@ -49,27 +50,33 @@ class Proof(ABC):
         self.edges = stretches(loop, len(self.P))
         self.whitened = [whitening(rounded(each).mid) for each in self.P]
         for node, matrix in enumerate(self.P):
-            self.require(matrix, node, f"the matrix of node {node}")
+            self.require(matrix, f"the matrix of node {node}", node)
 
     @abstractmethod
     def prove(self) -> None:
         """Show every inequality. Raises NotProved."""
 
-    def require(self, matrix: arb_mat, node: int, where: str) -> None:
+    def require(self, matrix: arb_mat, where: str, node: int) -> None:
         """Show that ``matrix`` is positive definite, in coordinates in which P of ``node`` is of size 1."""
         X = of_doubles(self.whitened[node])
         require_positive(rounded(X.transpose() * matrix * X), where)
 
     def growth(self, periods: int) -> arb:
-        """Return e^{2 alpha t}."""
-        return (2 * self.decay * number(self.loop.period_us) / 10**6 * periods).exp()
+        """Return e^{2 alpha t}, of the longest periods."""
+        longest_us = self.loop.period_us + self.loop.uneven_us
+        return (2 * self.decay * number(longest_us) / 10**6 * periods).exp()
+
+    def ends(self, target: int) -> list[arb_mat]:
+        """Return bounds of the value of P_j before each end of an uneven period, after the shortest one."""
+        squared = None if self.gain is None else self.gain**2
+        return Ends(self.loop, squared).before(self.P[target])
 
     def flow(self, length_us: Fraction, spread: bool = False) -> tuple[arb_mat, arb_mat, arb_mat, int]:
         """Return Phi, W, Q of a part of a flow, and how many parts. ``spread``: at gain/(1 + eps)^{1/2}."""
         loop, m, length = self.loop, self.loop.F.nrows(), number(length_us) / 10**6
         if self.gain is None:
             return (loop.F * length).exp(), arb_mat(m, m), arb_mat(m, m), 1
-        squared, parts = self.gain**2 / (1 + number(EPS)) if spread else self.gain**2, 1
+        squared, parts = self.gain**2 / (1 + number(self.eps)) if spread else self.gain**2, 1
         while not self._is_short(length / parts, squared):
             parts *= 2
         EE, CC = loop.E * loop.E.transpose() / squared, loop.C * loop.C.transpose()
@@ -99,16 +106,20 @@ class Timed(Proof):
         self._flows: dict[Fraction, tuple[arb_mat, arb_mat, arb_mat, int]] = {}
 
     def prove(self) -> None:
+        loop = self.loop
+        ends = {target: self.ends(target) for _, target, _, _ in self.edges} if loop.uneven_us else {}
         for source, target, idle, step in self.edges:
-            for chain in step.chains:
-                S = self.P[target]
-                for period in (chain, *[self.loop.idle] * idle):
-                    S = embedded(S, self.loop.size)
-                    for operation in reversed(period):
-                        S = self._before(S, operation)
-                    S = cut(S, self.loop.kept)
-                slack = self.P[source] - S * self.growth(idle + 1)
-                self.require(slack, source, f"from node {source} to {target} after {idle} losses")
+            for whole in step.chains or (loop.idle,):
+                # the last flow of the chain is the one whose length varies
+                chain = (*whole[:-1], ("flow", whole[-1][1] - loop.uneven_us)) if ends else whole
+                for S in ends.get(target, [self.P[target]]):
+                    for period in (chain, *[loop.idle] * idle):
+                        S = embedded(S, loop.size)
+                        for operation in reversed(period):
+                            S = self._before(S, operation)
+                        S = cut(S, loop.kept)
+                    slack = self.P[source] - S * self.growth(idle + 1)
+                    self.require(slack, f"from node {source} to {target} after {idle} losses", source)
 
     def _before(self, S: arb_mat, operation: Operation) -> arb_mat:
         """Return the value before an operation, S (n, n) after it."""
@@ -135,7 +146,8 @@ class Timed(Proof):
 
 
 def stretches(loop: RebuiltLoop, matrices: int) -> list[tuple[int, int, int, RebuiltStep]]:
-    """Return (from, to, idle periods before, step) between nodes at which a sample has just begun to act.
+    """Return (from, to, idle periods before, step) between nodes at which a sample has just begun to act; of
+    uneven periods between all nodes.
 
     Where there are more matrices than such nodes, they remember from which node that sample's step went out.
     """
@@ -155,9 +167,11 @@ def stretches(loop: RebuiltLoop, matrices: int) -> list[tuple[int, int, int, Reb
             if len(kept) == len(walks):
                 break
             walks = kept
-        delivered = sorted(
-            {target for _, target, step in walks if step.delivers}, key=lambda node: node[::-1]
-        )
+        nodes = {target for _, target, step in walks if step.delivers or loop.uneven_us}
+        delivered = sorted(nodes, key=lambda node: node[::-1])
+        if len(delivered) == matrices and loop.uneven_us:
+            places = [(delivered.index(one), delivered.index(other)) for one, other, _ in walks]
+            return [(*place, 0, step) for place, (_, _, step) in zip(places, walks, strict=True)]
         if len(delivered) == matrices:
             return list(_between(walks, delivered))
     raise NotProved(f"{matrices} matrices do not belong to this network")

@@ -9,7 +9,7 @@ of a square cell is the hull of its ordered corners.
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -32,9 +32,14 @@ from servobench.design.verify.balls import (
 )
 from servobench.design.verify.loops import Operation, RebuiltLoop, RebuiltStep
 from servobench.design.verify.proofs import BEYOND, EPS, PARTS_MAX, Proof
+from servobench.design.verify.uneven import Ends, ends_us
 
 ROOM = 0.6
 """Departure over eps, both as shares of a value: its square over eps is a third of eps."""
+EPS_OF_UNEVEN = 3e-4
+"""EPS where periods are uneven: corners count once for each end of a period."""
+ROOM_AT_END = 3.0
+"""Share of it that the square of what a sample adds counts which begins to act as a period ends."""
 CELLS_MAX = 4096
 """Instants of a grid: the loops of docs/control.md need some 500."""
 
@@ -48,6 +53,7 @@ class Windowed(Proof):
         """``room``: in place of :data:`ROOM`; with a larger one less is proved, never more."""
         super().__init__(loop, rows, gain, decay)
         self._room = room
+        self.eps = EPS_OF_UNEVEN if loop.uneven_us else EPS
         k, n = loop.kept, loop.F.nrows() - 1
         mean = rounded(sum(self.P[1:], self.P[0]) / len(self.P)).mid
         L = np.eye(loop.size) * math.sqrt(mean[-1, -1])
@@ -61,11 +67,12 @@ class Windowed(Proof):
         self._small, self._energy = self._departures()
         self._pairs = self._differences()
         ends = {at for step in loop.steps for _, *window in step.windows for at in window}
-        marks = {Fraction(0), loop.period_us, *ends}
+        marks = {Fraction(0), loop.shortest_us, *ends}
         self._grid = [Fraction(0)]
         self._bends: list[tuple[np.ndarray, float]] = []
         for first, last in itertools.pairwise(sorted(marks)):
             self._divide(first, last)
+        self._ends = {target: self._before_ends(target) for target in {edge[1] for edge in self.edges}}
 
     def prove(self) -> None:
         by_step: dict[tuple[Any, ...], list[tuple[int, int, int, RebuiltStep]]] = {}
@@ -73,10 +80,8 @@ class Windowed(Proof):
             by_step.setdefault(edge[3].windows, []).append(edge)
         whitened = [whitening(P) for P in self._white.mid]
         for edges in by_step.values():
-            targets = sorted({target for _, target, _, _ in edges})
-            values = self._corners(edges[0][3], targets)
-            for place, target in enumerate(targets):
-                S, own = values[place], [edge for edge in edges if edge[1] == target]
+            for S, target in self._values(edges[0][3], sorted({target for _, target, _, _ in edges})):
+                own = [edge for edge in edges if edge[1] == target]
                 for idle in range(1 + max(edge[2] for edge in own)):
                     if idle:
                         S = self._grown(S)
@@ -88,6 +93,39 @@ class Windowed(Proof):
                         X = exact(whitened[source])
                         slack = X.T @ (self._white[source] - S.times(growth)) @ X
                         require_positive(slack, f"from node {source} to {target} after {idle} losses")
+
+    def _values(self, step: RebuiltStep, targets: Sequence[int]) -> Iterator[tuple[Ball, int]]:
+        """Yield the values (corners, k, k) before ``step`` of the function of each target, in parts."""
+        parts = [(0, step.windows)]
+        if self.loop.uneven_us and self._lasts(step):
+            parts.append((1, step.windows[:-1]))
+        for late, windows in parts:
+            owners = [target for target in targets for _ in self._ends[target][late].mid]
+            S = joined([self._ends[target][late] for target in targets])[:, None]
+            values = self._corners(step, windows, owners, self._grown(S))
+            for target in targets:
+                yield values[[place for place, owner in enumerate(owners) if owner == target]], target
+
+    def _lasts(self, step: RebuiltStep) -> bool:
+        """Return True if the newest sample may begin to act up to the period's end."""
+        return bool(step.windows) and step.windows[-1][0] + 1 < len(self.loop.applying)
+
+    def _before_ends(self, target: int) -> tuple[Ball, Ball]:
+        """Return (.., k, k), in good coordinates: the function of a node before the ends of uneven periods,
+        and where the newest sample begins to act at them."""
+        loop, turn = self.loop, cut(self._inverse, self.loop.kept)
+        if not loop.uneven_us:
+            return self._white[[target]], self._white[:0]
+        squared = None if self.gain is None else self.gain**2 / (1 + number(self.eps))
+        ends = Ends(loop, squared)
+        sizes = [size for *_, by_target in self._pairs for size in by_target.values()]
+        room = number(ROOM_AT_END * self.eps / max(sizes) ** 2)
+        late = ends.late(self.P[target], room) if len(loop.applying) > 1 else []
+        own, later = (
+            joined([self._white[:0], *(rounded(turn.transpose() * each * turn)[None] for each in found)])
+            for found in (ends.before(self.P[target]), late)
+        )
+        return own, later
 
     def _turned(self, J: arb_mat) -> Ball:
         """Return a map of xi in good coordinates."""
@@ -150,7 +188,7 @@ class Windowed(Proof):
         A = arb_mat([[loop.F[i, j] for j in range(m - 1)] for i in range(m - 1)])
         B = arb_mat([[loop.F[i, m - 1]] for i in range(m - 1)])
         C = arb_mat([[loop.C[i, 0] for i in range(m - 1)]])
-        h = number(loop.period_us) / 10**6
+        h = number(loop.period_us + loop.uneven_us) / 10**6
         parts = 16 + math.ceil(8.0 * float((h * sum((abs(each) for each in A.entries()), arb(0))).upper()))
         near, step = (A * (h / parts * arb(0.5, 0.5))).exp(), (A * (h / parts)).exp()
         largest, energy, total = [], [0.0], 0.0
@@ -164,8 +202,9 @@ class Windowed(Proof):
 
     def _bend(self, first: Fraction, last: Fraction) -> tuple[np.ndarray, float]:
         """Return how far the state at the period's end, and the error's norm, depart from their chord."""
-        h, parts = self.loop.period_us, len(self._small)
-        low, high = math.floor((h - last) / h * parts), math.ceil((h - first) / h * parts)
+        h, parts = self.loop.period_us + self.loop.uneven_us, len(self._small)
+        rest = max(Fraction(0), self.loop.shortest_us - last)
+        low, high = math.floor(rest / h * parts), math.ceil((h - first) / h * parts)
         share = float((last - first) / 10**6) ** 2 / 8.0 * GREATER
         return share * self._small[low:high].max(axis=0), share * math.sqrt(self._energy[high]) * GREATER
 
@@ -198,7 +237,7 @@ class Windowed(Proof):
         sizes = self._sizes @ bend + (output if self.gain is not None else 0.0)
         open_ = [by_target for low, high, by_target in self._pairs if low <= first and last <= high]
         shares = (sizes[target] * size for by_target in open_ for target, size in by_target.items())
-        if max(shares, default=0.0) > self._room * EPS:
+        if max(shares, default=0.0) > self._room * self.eps:
             if len(self._grid) > CELLS_MAX:
                 raise NotProved(f"more than {CELLS_MAX} cells")
             middle = (first + last) / 2
@@ -208,20 +247,23 @@ class Windowed(Proof):
         self._grid.append(last)
         self._bends.append((bend, output))
 
-    def _corners(self, step: RebuiltStep, targets: Sequence[int]) -> Ball:
-        """Return (targets, corners, k, k): bounds of the value before ``step``, for each target after it."""
-        *earlier, (back, first, last) = step.windows
+    def _corners(self, step: RebuiltStep, windows: Sequence[Any], owners: Sequence[int], S: Ball) -> Ball:
+        """Return (rows, corners, k, k): bounds of the value before ``step``, of S (rows, 1, n, n) after the
+        shortest period; ``windows``: those of samples that begin to act before S; ``owners``: nodes of S."""
         spread = any(low < high for _, low, high in step.windows)
-        places = np.array([[place] for place, at in enumerate(self._grid) if first <= at <= last])
-        S = self._grown(self._white[list(targets)][:, None])
-        S = self._through(S, places[:, 0], spread, to_end=True)
-        S = self._before(S, ("jump", self.loop.applying[back]), spread)
+        places = np.array([[len(self._grid) - 1]])
+        earlier = windows
+        if windows and windows == step.windows:
+            *earlier, (back, first, last) = windows
+            places = np.array([[place] for place, at in enumerate(self._grid) if first <= at <= last])
+            S = self._through(S, places[:, 0], spread, to_end=True)
+            S = self._before(S, ("jump", self.loop.applying[back]), spread)
         for back, first, last in reversed(earlier):
             S, places = self._earlier(S, places, first, last, spread)
             S = self._before(S, ("jump", self.loop.applying[back]), spread)
         S = self._before(self._through(S, places[:, 0], spread), self.loop.idle[0], spread)
         S = S[..., : self.loop.kept, : self.loop.kept]
-        return self._spread(S, step, targets, places) if spread else S
+        return self._spread(S, step, owners, places, windows != step.windows) if spread else S
 
     def _earlier(
         self, S: Ball, places: np.ndarray, first: Fraction, last: Fraction, spread: bool
@@ -250,16 +292,27 @@ class Windowed(Proof):
         lengths = [grid[-1] - grid[place] if to_end else grid[place] - grid[begin] for place in places]
         return self._flowed(S, lengths, spread)
 
-    def _spread(self, S: Ball, step: RebuiltStep, targets: Sequence[int], places: np.ndarray) -> Ball:
-        """Return bounds for the instants between the grid's too."""
-        wide = sum(first < last for _, first, last in step.windows)
-        total = S.times((1.0 + EPS) * GREATER)
+    def _spread(
+        self, S: Ball, step: RebuiltStep, targets: Sequence[int], places: np.ndarray, late: bool
+    ) -> Ball:
+        """Return bounds for the instants between the grid's too; ``late``: of a sample beyond it."""
+        wide, eps = sum(first < last for _, first, last in step.windows), self.eps
+        total = S.times((1.0 + eps) * GREATER)
         for window, (row, (_, first, last)) in enumerate(zip(self._rows(step), step.windows, strict=True)):
             if first < last:
                 size = np.array([self._size(targets, int(place), last) for place in places[:, window]]).T
-                square = (1.0 + 1.0 / EPS) * wide * size * GREATER
+                if late and window == len(step.windows) - 1:
+                    size = np.maximum(size, self._size_at_end(targets)[:, None])
+                square = (1.0 + 1.0 / eps) * wide * size * GREATER
                 total = total + (row.T @ row).times(square[..., None, None])
         return total
+
+    def _size_at_end(self, targets: Sequence[int]) -> np.ndarray:
+        """Return the square of the departure on a cell of the ends of uneven periods."""
+        ends = ends_us(self.loop)
+        bend, output = self._bend(self.loop.shortest_us, self.loop.shortest_us + ends[1])
+        size = (self._sizes[list(targets)] @ bend) ** 2 + (output**2 if self.gain is not None else 0.0)
+        return np.asarray(size * GREATER)
 
     def _size(self, targets: Sequence[int], place: int, last: Fraction) -> np.ndarray:
         """Return the square of the departure on the cells beside an instant of a window that ends with

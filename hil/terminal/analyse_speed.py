@@ -35,6 +35,15 @@ SpeedOption = Annotated[
 LoadOption = Annotated[
     float | None, valued("--load-nm", "T", "Load step for the percentages; default: rated torque.", min=1e-9)
 ]
+SyncWithinOption = Annotated[
+    int | None,
+    valued(
+        "--sync-within-us",
+        "W",
+        "Certify for SYNC distances that depart from the period by so much; default: 0, a constant period.",
+        min=1,
+    ),
+]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,6 +76,7 @@ class AnalysisOptions:
     tau_max_ms: Annotated[
         float | None, valued("--tau-max-ms", "T", "Largest delay from sample to actuator.", min=0.0)
     ] = None
+    sync_within_us: SyncWithinOption = None
     monte_carlo: Annotated[
         int | None, valued("--monte-carlo", "N", "Number of random runs of the sampled loop.", min=1)
     ] = None
@@ -148,7 +158,7 @@ def speed(asked: AnalysisOptions) -> None:
 def _network(asked: AnalysisOptions) -> "SampledNetwork | None":
     """Return the network that the options describe; None if they describe none. Raises BadInput."""
     if asked.period_ms is None:
-        for option, value in given(asked, "strategy", "loss_max", "tau_max_ms").items():
+        for option, value in given(asked, "strategy", "loss_max", "tau_max_ms", "sync_within_us").items():
             raise BadInput(option, "", str(value), "--period-ms with it, the sampling period")
         return None
     from servobench.design.errors import UnsuitableNetwork
@@ -161,7 +171,8 @@ def _network(asked: AnalysisOptions) -> "SampledNetwork | None":
     if strategy is Strategy.ARRIVAL:
         agreed_s = 0.0
     try:
-        return SampledNetwork(strategy, period_s, losses_max, tau_s, agreed_s)
+        uneven_s = 1e-6 * (asked.sync_within_us or 0)
+        return SampledNetwork(strategy, period_s, losses_max, tau_s, agreed_s, uneven_s)
     except UnsuitableNetwork as error:
         raise BadInput("--strategy", "", error.found, error.expected) from None
 

@@ -98,6 +98,7 @@ def design_dynamic(
     delay_ms: float | None,
     network: "SampledNetwork | None",
     load_nm: float | None,
+    uneven_s: float = 0.0,
 ) -> "DynamicResult":
     """Design a ``predictor`` or ``hinf``, with its certificate. Raises BadInput."""
     from servobench.design.errors import DesignError
@@ -123,6 +124,7 @@ def design_dynamic(
         encoder_counts=options.encoder_counts or ENCODER_COUNTS,
         speed_filter_hz=options.speed_filter_hz or SPEED_FILTER_HZ,
         dead_time_us=DEAD_TIME_US if dead_time_us is None else dead_time_us,
+        uneven_s=uneven_s,
     )
     measured = network is not None
     on_terminal("gain and decay over every sequence of lost samples: some s, at long delays minutes")

@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from servobench.drivers.errors import BadInput
-from servobench.hil.terminal.analyse_speed import LOSSES_MAX, LoadOption, SpeedOption, StrategyName
+from servobench.hil.terminal.analyse_speed import (
+    LOSSES_MAX,
+    LoadOption,
+    SpeedOption,
+    StrategyName,
+    SyncWithinOption,
+)
 from servobench.hil.terminal.current_loop_options import CurrentLoopOptions
 from servobench.hil.terminal.design_predictor import PredictorOptions, design_dynamic
 from servobench.hil.terminal.options import (
@@ -64,6 +70,7 @@ class SpeedDesignOptions:
     extra_losses: Annotated[
         int, valued("--extra-losses", None, "Consecutive losses beyond the measured ones.", min=0, max=1000)
     ] = 0
+    sync_within_us: SyncWithinOption = None
     method: Annotated[
         Literal["exact", "lmi", "ccl"],
         valued("--method", None, "Exact optimum, best LMI certificate, or the paper's Algorithm 4.2 (ccl)."),
@@ -136,6 +143,10 @@ def _check_static(asked: SpeedDesignOptions) -> None:
     if not given(asked, "gamma", "error_percent", "delay_ms", "network"):
         expected = "--gamma or --error-percent, --delay-ms or --network, or one of each"
         raise BadInput("hil design speed", "", None, expected)
+    if asked.sync_within_us is not None and asked.network is None:
+        raise BadInput(
+            "--sync-within-us", "", asked.sync_within_us, "--network, whose loop is certified, with it"
+        )
     exact = asked.method == "exact"
     if asked.method == "ccl" and (asked.feedback == "speed" or asked.integral):
         expected = "full feedback without integral: Algorithm 4.2 knows no other"
@@ -149,6 +160,9 @@ def _check_static(asked: SpeedDesignOptions) -> None:
 
 def _refuse_static(asked: SpeedDesignOptions) -> None:
     """Refuse options without a use for predictor and hinf. Raises BadInput."""
+    if asked.sync_within_us is not None and asked.structure != "hinf":
+        expected = "--structure static or hinf: the predictors' certificates are for a constant period"
+        raise BadInput("--sync-within-us", "", asked.sync_within_us, expected)
     static = given(asked, "gamma", "error_percent", "integral_time_ms")
     for option, value in (static | ({"--integral": True} if asked.integral else {})).items():
         raise BadInput(option, "", value, "nothing of it with --structure predictor or hinf")
@@ -179,14 +193,22 @@ def _network(path: Path, asked: SpeedDesignOptions) -> "SampledNetwork":
     if strategy is Strategy.STAMP:
         # A bench with this strategy acts at SYNCs only.
         agreed_s = math.ceil(agreed_s / measured.period_s - _WHOLE) * measured.period_s
-    return SampledNetwork(strategy, measured.period_s, losses_max, tau_s, agreed_s)
+    uneven_s = 1e-6 * (asked.sync_within_us or 0)
+    return SampledNetwork(strategy, measured.period_s, losses_max, tau_s, agreed_s, uneven_s)
 
 
 def _design_dynamic(
     asked: SpeedDesignOptions, motor: "PmsmParameters", bandwidth_hz: float, network: "SampledNetwork | None"
 ) -> "DynamicResult":
     return design_dynamic(
-        asked.structure, asked.predictor, motor, bandwidth_hz, asked.delay_ms, network, asked.load_nm
+        asked.structure,
+        asked.predictor,
+        motor,
+        bandwidth_hz,
+        asked.delay_ms,
+        network,
+        asked.load_nm,
+        1e-6 * (asked.sync_within_us or 0),
     )
 
 

@@ -66,14 +66,15 @@ def table_of_loop(drawn: DrawnLoop, analysis: SampledAnalysis) -> dict[str, Any]
             }
         },
     }
-    return dict(_read(table))
+    return dict(read_digits(table))
 
 
-def _read(entry: Any) -> Any:
+def read_digits(entry: Any) -> Any:
+    """Return numbers as a file of them is read: by their digits."""
     if isinstance(entry, dict):
-        return {key: _read(value) for key, value in entry.items()}
+        return {key: read_digits(value) for key, value in entry.items()}
     if isinstance(entry, list):
-        return [_read(each) for each in entry]
+        return [read_digits(each) for each in entry]
     return Decimal(repr(entry)) if isinstance(entry, float) else entry
 
 

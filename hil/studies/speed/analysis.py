@@ -179,6 +179,7 @@ def network_figures(network: SampledNetwork) -> dict[str, Any]:
         "loss_max": network.losses_max,
         "tau_max_s": network.delay_max_s,
         "agreed_delay_s": None if network.strategy is Strategy.ARRIVAL else network.agreed_delay_s,
+        **({"sync_within_s": network.uneven_s} if network.uneven_s else {}),
     }
 
 

@@ -115,6 +115,7 @@ def _network(network: SampledNetwork) -> dict[str, Any]:
         "losses_in_a_row_max": network.losses_max,
         "delay_max_us": begun_us(network.delay_max_s),
         "agreed_delay_us": whole_us(network.agreed_delay_s) if waits else None,
+        "sync_within_us": begun_us(network.uneven_s) or None,
     }
 
 

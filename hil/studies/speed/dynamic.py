@@ -71,6 +71,7 @@ def request_of(
     encoder_counts: int = ENCODER_COUNTS,
     speed_filter_hz: float = SPEED_FILTER_HZ,
     dead_time_us: float = DEAD_TIME_US,
+    uneven_s: float = 0.0,
 ) -> PredictorRequest:
     """Return the request of a design, with the noise of the encoder and of the torque worked out."""
     noise_rad_s = encoder_noise_rad_s(encoder_counts, speed_filter_hz, INNER_RATE_HZ)
@@ -85,6 +86,7 @@ def request_of(
         load_nm,
         command_noise_nm,
         1e-6 * dead_time_us,
+        uneven_s,
     )
 
 
@@ -177,7 +179,7 @@ class DynamicResult(ABC):
     def certified(self) -> Self:
         """Add the certificate over lost samples. Raises NoSolution."""
         *others, last = with_losses(self.analysed, self.losses_max)
-        if last.certified:
+        if last.certified and not self.design.request.uneven_s:  # peaks are of even periods
             with suppress(NoSolution):
                 peak = self.peak(last.network.losses_max, 0)
                 last = replace(last, peak_found=peak.reached, peak_certified=peak.certified)
@@ -247,6 +249,7 @@ class DynamicResult(ABC):
             held = {
                 "losses_in_a_row_max": self.losses_max if certified is None else certified.network.losses_max,
                 "delay_max_us": begun_us(request.delay_max_s),
+                "sync_within_us": begun_us(request.uneven_s) or None,
             }
         return MadeFor(
             delay_us=whole_us(request.period_s + request.delay_max_s),

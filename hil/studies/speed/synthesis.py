@@ -182,8 +182,8 @@ def with_bandwidths(result: DesignResult) -> DesignResult:
     """Add the range of current bandwidths that its certificates cover."""
     request, design, sampled = result.request, result.design, result.sampled
     bandwidth_hz = request.current_bandwidth_hz
-    if bandwidth_hz is None:
-        return result
+    if bandwidth_hz is None or (sampled is not None and sampled.network.uneven_s):
+        return result  # ranges are of even periods
 
     def model_at(hz: float) -> SpeedModel:
         return speed_model(request.motor, request.way.integral, hz)

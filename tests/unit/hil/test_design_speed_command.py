@@ -310,7 +310,7 @@ def dynamics(monkeypatch: pytest.MonkeyPatch) -> DynamicDesigns:
     return made
 
 
-DRIVE = {"encoder_counts": 65536, "speed_filter_hz": 500.0, "dead_time_us": 100.0}
+DRIVE = {"encoder_counts": 65536, "speed_filter_hz": 500.0, "dead_time_us": 100.0, "uneven_s": 0.0}
 
 
 def test_a_predictor_is_designed_for_the_simulated_drive_where_nothing_else_is_said(
@@ -336,7 +336,7 @@ def test_an_h_infinity_controller_is_designed_for_what_is_said(
     assert told.exit_code == 0
     assert dynamics.asked["request"] == (
         (MOTOR, 333.0, 0.002, 0.0, 0.4, 0.02),
-        {"encoder_counts": 4096, "speed_filter_hz": 90.0, "dead_time_us": 0.0},
+        {"encoder_counts": 4096, "speed_filter_hz": 90.0, "dead_time_us": 0.0, "uneven_s": 0.0},
     )
     assert dynamics.asked["design_speed_hinf"] == ("the request", 0, False)
     assert (told.stderr, out.read_text()) == (f"written {out}\n", "text of K by design_speed_hinf\n")
