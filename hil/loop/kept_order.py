@@ -33,6 +33,8 @@ WAITS: Final = 16
 """Readings behind one that is certain: if one too many had come, there would be more than SYNCs by then."""
 WAITS_LOST: Final = 48
 """The same of one that rests on a loss: those of a delay that has grown would have come too soon."""
+LOSSES_MIN: Final = 3
+"""As few may be a delay that has grown by about a period, once or twice."""
 WIDEST: Final = 2
 """Periods: in a queue that holds frames for longer few come soon enough to show that a delay has grown."""
 KEPT: Final = 64
@@ -81,6 +83,8 @@ class KeptOrder:
         self._distrusted = 0
         self._lost = False
         """True if one was lost since it was known how many there are."""
+        self._losses = 0
+        """Times that some were, up to :data:`LOSSES_MIN`."""
         self._count = 0
         """Readings since then,"""
         self._alike = 0
@@ -122,7 +126,9 @@ class KeptOrder:
             self._begin(latest.number)
             self._seen = 0
             return None
-        self._lost |= mark.number > self._last + 1
+        if mark.number > self._last + 1:
+            self._lost = True
+            self._losses = min(LOSSES_MIN, self._losses + 1)
         self._last = mark.number
         self._count += 1
         row = PlacedInOrder(mark, latest.number, at)
@@ -136,11 +142,14 @@ class KeptOrder:
 
     def _prove(self) -> None:
         latest = self._last + 1
+        waits = WAITS
+        if self._lost:
+            waits = WAITS_LOST if self._losses >= LOSSES_MIN else KEPT
         for behind, row in enumerate(reversed(self._rows)):
             if row.certain:  # so are those before it, or never will be
                 break
             latest = min(row.latest, latest)
-            if latest == row.mark.number and behind >= (WAITS_LOST if self._lost else WAITS):
+            if latest == row.mark.number and behind >= waits:
                 row.certain = True
                 self._learn(row.delay)
                 if row.mark.sequence != SURPLUS:

@@ -213,8 +213,7 @@ class OrderAttribution:
                 self.question.cleared = True
             self._untidy = 0  # what seemed to be held up was of the new delay
         elif not self._beyond:
-            if self._in_question.differed:  # and delays had not grown
-                self._untidy = UNTIDY_FOR
+            self._untidy = UNTIDY_FOR if self._in_question.differed else self._untidy  # delays had not grown
             self._in_question.odd += self._untidy > 0 and self._unsure.behind
             self._unsure.confirm(NEVER, untidy=self._untidy > 0)
             self.question.cleared = self._in_question.odd == 0
@@ -282,13 +281,14 @@ class OrderAttribution:
                 self._usual.begin(self._strays.ages)
                 self._strays.clear()
             return self._sample(reading, mark, certain=not changed_places)
-        self._usual.stray(copy=copy)
+        self._usual.stray(age, copy=copy)
         if next_one and self._in_question.phase_known and len(self._strays) < STRAYS_MAX:
             return self._count_in(reading, mark, age, behind_unheard or (copy and self._untidy > 0))
         if held is None and self._is_held(mark, age, copy):
             return self._hold(reading, mark)
         probing = self._in_question.is_before_probe(reading.received_at, self._answered, self._lags())
-        if probing or (self._usual.nearly_holds(age) and not copy and mark.number > self._answered):
+        copied = copy and self.copies.told_by_speeds
+        if probing or (self._usual.nearly_holds(age) and not copied and mark.number > self._answered):
             self._in_question.odd += 1
         else:
             self._note_untidy(copy)

@@ -167,9 +167,10 @@ class OrderQuestion:
     @property
     def may_be_others(self) -> bool:
         """True if readings may not answer the SYNC before them though only one is missing: they may be those
-        of later ones, or have come too soon for it."""
+        of later ones, have come too soon for it, or be of a delay that has grown, as several strays may."""
         too_soon = any(since.too_soon >= TOO_SOON for _, since in self._misses)
-        return too_soon or not self.phase_known or self.sooner() > 0
+        grown = self.odd > 1 and not self._usual.narrow
+        return too_soon or grown or not self.phase_known or self.sooner() > 0
 
     @property
     def differed(self) -> bool:
@@ -233,7 +234,7 @@ class OrderQuestion:
         else:
             for _, since in self._misses:
                 since.stray()
-                since.differed += number in self._probes
+                since.differed += number in self._probes and not self._usual.nearly_holds(delay)
 
     def probed(self, number: int, pause: int) -> None:
         """SYNC ``number`` has gone out late; none of the next ``pause`` is to."""

@@ -137,9 +137,10 @@ class UsualDelays:
         known = self._others_are_rare and (self._placed >= FIRST or self._may_be_all)
         return certain and known and (self.narrow or not self.doubted)
 
-    def stray(self, *, copy: bool) -> None:
+    def stray(self, delay: int, *, copy: bool) -> None:
         """A reading came at an unusual delay, a ``copy`` of another perhaps."""
-        self._unusual += (not copy) / (RARE + self._told)
+        others_lack = self.narrow and self.nearly_holds(delay)  # frames that usually come in front of it
+        self._unusual += (not (copy or others_lack)) / (RARE + self._told)
 
     def nearly_holds(self, delay: int) -> bool:
         """Return whether one is usual but for frames of others: no sign of frames held up until another's
