@@ -41,6 +41,10 @@ _STEPS_MAX: Final = 20
 _STEPS_MIN: Final = 3
 """The first ones weigh the outputs by what a bad start leaves of them."""
 _HALVES_MAX: Final = 6
+_NEAR: Final = 0.1
+"""Of a scale: slopes taken that near a place are its slopes, to some per cent of themselves."""
+_COARSE: Final = 0.01
+"""Of a scale: where plain least squares stop, for they are but a start."""
 _CONVERGED: Final = 0.05
 """Of a standard uncertainty: a smaller step changes nothing that is told."""
 _LAGS: Final = 6
@@ -162,23 +166,32 @@ def fit_windows(
     if len(problem.measured) < 2 * len(places) + 2:
         raise FitFailed(f"{len(problem.measured)} windows for {len(places)} parameters")
     left = _left(problem, theta, initial)
+    had: list[_Taken | None] = [None] * len(initial)
     converged, step = False, 0
     while True:
         noise = _noise_of(problem, left, white)
-        slopes = [
-            _slopes(problem, number, theta, state, noise, places) for number, state in enumerate(initial)
+        taken = [
+            _taken(problem, number, theta, state, places, had[number]) for number, state in enumerate(initial)
         ]
+        anew = all(one is not other for one, other in zip(taken, had, strict=True))
+        had = [*taken]
+        slopes = [_white(problem, number, each, noise) for number, each in enumerate(taken)]
         information, change = _step(slopes, noise, left)
         step += 1
+        sure = np.sqrt(np.maximum(np.diag(_inverse(information)), 0.0))
+        small = np.maximum(_CONVERGED * sure, 0.0 if white else _COARSE)
+        # no change tells when initial states alone are there: they get one step more
+        if step >= _STEPS_MIN + (len(places) == 0) and np.all(np.abs(change) <= small):
+            converged = True
+            break
         ahead = _descend(problem, slopes, (theta, initial, left), noise, places, change)
+        if ahead is None and not anew and step < steps_max:
+            had = [None] * len(initial)
+            continue
         if ahead is None:
             converged = True
             break
         theta, initial, left = ahead
-        sure = np.sqrt(np.maximum(np.diag(_inverse(information)), 0.0))
-        if step >= _STEPS_MIN and np.all(np.abs(change) <= _CONVERGED * sure):
-            converged = True
-            break
         if step >= steps_max:
             break
     return _solution(problem, (theta, initial, left), noise, slopes, places, step, converged)
@@ -188,23 +201,44 @@ State = tuple[Array, Array, list[Array]]
 """Parameters, initial states, and what is left of each window."""
 
 
-def _slopes(
-    problem: WindowedProblem, number: int, theta: Array, state: float, noise: Noise, places: Places
-) -> Slopes:
-    measured = problem.measured[number]
-    there = np.isfinite(noise.white(measured))
+@dataclass(frozen=True, slots=True)
+class _Taken:
+    """Slopes of a window, and where they were taken."""
+
+    theta: Array
+    state: float
+    over_parameters: tuple[Array, ...]
+    """(o, n) of each free parameter, in its scale."""
+    over_state: Array
+
+
+def _taken(
+    problem: WindowedProblem, number: int, theta: Array, state: float, places: Places, had: _Taken | None
+) -> _Taken:
+    """Return those that it had, or new ones where it has moved on since."""
+    if had is not None:
+        moved = np.max(np.abs(theta - had.theta) / problem.scale, initial=0.0)
+        if max(moved, abs(state - had.state) / problem.initial_scale) <= _NEAR:
+            return had
     at = problem.model(number, theta, state)
 
     def slope(changed: Array, state_there: float) -> Array:
-        moved = problem.model(number, changed, state_there) - at
-        return np.asarray(noise.white(moved)[there] / _SLOPE_STEP)
+        return np.asarray((problem.model(number, changed, state_there) - at) / _SLOPE_STEP)
 
     columns = []
     for place in places.tolist():
         ahead = theta.copy()
         ahead[place] += _SLOPE_STEP * problem.scale[place]
         columns.append(slope(ahead, state))
-    own = [slope(theta, state + _SLOPE_STEP * problem.initial_scale)]
+    over_state = slope(theta, state + _SLOPE_STEP * problem.initial_scale)
+    return _Taken(theta, state, tuple(columns), over_state)
+
+
+def _white(problem: WindowedProblem, number: int, taken: _Taken, noise: Noise) -> Slopes:
+    measured = problem.measured[number]
+    there = np.isfinite(noise.white(measured))
+    columns = [noise.white(each)[there] for each in taken.over_parameters]
+    own = [noise.white(taken.over_state)[there]]
     for output, free in enumerate(problem.offset):
         if free and there[output].any():
             constant = np.zeros(measured.shape)

@@ -32,8 +32,8 @@ from servobench.virtual_bus.drive.encoder import BY_DIFFERENCE
 from servobench.virtual_bus.drive.set_point_path import STRAIGHT
 
 COVERAGE_FACTOR: Final = 2.0
-COARSE_WINDOWS: Final = 40
-"""Of the first stage: eight seconds determine a rigid drive, whatever there is more makes it sure."""
+COARSE_WINDOWS: Final = 24
+"""Of the first stage: five seconds determine a rigid drive, whatever there is more makes it sure."""
 SURE: Final = 0.5
 """Of a parameter's scale: a direction that is known no better, at one standard uncertainty, is not known."""
 APART: Final = 5.0
@@ -261,6 +261,8 @@ def _fitted(
     problem, theta = drive.problem(windows), np.array(drive.start)
     chosen = np.unique(np.linspace(0, len(windows) - 1, min(len(windows), COARSE_WINDOWS)).astype(int))
     near, free = _determined(drive, problem.part(chosen.tolist()), theta, free, white=False)
+    # once more, from the windows' first guesses: a state that a far start drove to rest does not leave it
+    near, free = _determined(drive, problem.part(chosen.tolist()), near.parameters, free, white=False)
     rest = fit_windows(problem, near.parameters, np.zeros(len(KEYS), bool), white=False)
     usual = np.all(rest.spreads <= APART * np.median(rest.spreads, axis=0), axis=1)
     numbers = np.flatnonzero(usual)

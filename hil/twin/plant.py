@@ -89,6 +89,19 @@ class Rigid(NamedTuple):
     """Time constant of the filter behind 606Ch."""
 
 
+class _Reads(NamedTuple):
+    """When a window is read."""
+
+    ticks: Instants
+    """Rising, behind the begin of the window."""
+    low: Instants
+    """(n,): place among them of the tick before each reading, or on it."""
+    high: Instants
+    """(n,): of the tick behind it."""
+    share: Array
+    """(n,): where between both."""
+
+
 class TwinPlant:
     """One drive's inner loops with its motor, to be run over any window with any :class:`Rigid`."""
 
@@ -118,6 +131,7 @@ class TwinPlant:
         self._tick_s = 1.0 / rate_hz
         self._rate_hz = rate_hz
         self._firmware.start(Instant(0))
+        self._reads_of: dict[int, tuple[RecordedWindow, _Reads]] = {}
 
     def run(
         self,
@@ -136,9 +150,12 @@ class TwinPlant:
         self._take(rigid)
         self._begin(window.held_nm, speed_rad_s, angle_rad)
         begin_s = window.begin_s
-        if grid_s is not None:
+        if grid_s is None:
+            reads = self._known_reads(window)
+        else:
             begin_s = grid_s + self._tick_s * math.ceil((begin_s - grid_s) / self._tick_s)
-        places, kinds, values = self._plan(window, begin_s, rigid.dead_time_s, grid_s is not None)
+            reads = self._reads(window, begin_s, stepped=True)
+        places, kinds, values = self._plan(window, begin_s, rigid.dead_time_s, reads, grid_s is not None)
         inner = self._inner
         advance, demand, first = inner.advance_to, inner.demand_torque, inner.ticks
         at = self._instants(first, places)
@@ -150,7 +167,7 @@ class TwinPlant:
                 demand(value)
             else:
                 tell((inner.speed_measured_rad_s, inner.turns, inner.angle_rad, inner.torque_measured_nm))
-        return self._outputs(window, begin_s, np.array(told).T, grid_s is not None)
+        return self._outputs(reads, np.array(told).T)
 
     def _take(self, rigid: Rigid) -> None:
         inner = self._inner
@@ -180,7 +197,7 @@ class TwinPlant:
         return instants
 
     def _plan(
-        self, window: RecordedWindow, begin_s: float, dead_time_s: float, stepped: bool
+        self, window: RecordedWindow, begin_s: float, dead_time_s: float, reads: _Reads, stepped: bool
     ) -> tuple[Instants, list[bool], list[float]]:
         """Return what is done behind which tick of the window: a set-point is written, or values are read."""
         come = (window.seconds(window.command_at) - begin_s + dead_time_s) * self._rate_hz
@@ -191,16 +208,21 @@ class TwinPlant:
         share = np.ones(len(come)) if stepped else follows - come
         blended = before + share * (window.command_nm - before)
         written = np.maximum(np.stack((follows - 1, follows), axis=1), 0).ravel()
-        reads = self._reads(window, begin_s, stepped)[0]
-        places = np.concatenate((reads, written))
-        kinds = np.repeat((False, True), (len(reads), len(written)))
+        places = np.concatenate((reads.ticks, written))
+        kinds = np.repeat((False, True), (len(reads.ticks), len(written)))
         set_points = np.stack((blended, window.command_nm), axis=1).ravel()
-        values = np.concatenate((np.zeros(len(reads)), set_points))
+        values = np.concatenate((np.zeros(len(reads.ticks)), set_points))
         order = np.argsort(places, kind="stable")
         return places[order], kinds[order].tolist(), values[order].tolist()
 
-    def _reads(self, window: RecordedWindow, begin_s: float, stepped: bool) -> tuple[Instants, Array]:
-        """Return the ticks, rising, that are read, and where among them each reading lies."""
+    def _known_reads(self, window: RecordedWindow) -> _Reads:
+        """Return the reads of a window that begins where it does: they are the same for every drive."""
+        had = self._reads_of.get(id(window))
+        if had is None:
+            had = self._reads_of[id(window)] = window, self._reads(window, window.begin_s, stepped=False)
+        return had[1]
+
+    def _reads(self, window: RecordedWindow, begin_s: float, *, stepped: bool) -> _Reads:
         at = (window.seconds(window.at) - begin_s) * self._rate_hz
         if stepped:
             at = np.floor(at)
@@ -208,13 +230,15 @@ class TwinPlant:
         off = np.abs(at - near) >= _ON_TICK
         low = np.where(off, np.floor(at), near).astype(np.int64)
         ticks = np.unique(np.concatenate((low, low[off] + 1)))
-        return ticks, np.asarray(at, np.float64)
+        place = np.searchsorted(ticks, low)
+        return _Reads(ticks, place, place + off, np.where(off, at - low, 0.0))
 
-    def _outputs(self, window: RecordedWindow, begin_s: float, told: Array, stepped: bool) -> Array:
+    def _outputs(self, reads: _Reads, told: Array) -> Array:
         """Return the values at the instants of the readings, between the ticks on both sides of each."""
-        ticks, at = self._reads(window, begin_s, stepped)
         angle = told[1] * math.tau + told[2]
         if self._counts < FINEST_COUNTS:
             step = math.tau / self._counts
             angle = step * np.floor(angle / step)
-        return np.stack([np.interp(at, ticks, each) for each in (told[0], angle, told[3])])
+        values = np.stack((told[0], angle, told[3]))
+        low = values[:, reads.low]
+        return np.asarray(low + reads.share * (values[:, reads.high] - low))
