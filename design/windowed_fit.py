@@ -119,6 +119,8 @@ class WindowedFit:
     """(o,): root mean square of what is left of each output."""
     spreads: Array
     """(w, o): the same of each window."""
+    left: tuple[Array, ...]
+    """(o, n) of each window: what is left, without the offsets."""
     solving: Array
     """(p, p): from a score to a step of the parameters."""
     slopes: "tuple[Slopes, ...]"
@@ -376,6 +378,7 @@ def _solution(
         noise,
         np.array([_rms([each[output] for each in left]) for output in range(len(problem.floors))]),
         np.array([[_rms([row]) for row in each] for each in left]),
+        tuple(left),
         solving,
         tuple(slopes),
         steps,

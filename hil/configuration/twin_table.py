@@ -46,6 +46,12 @@ class TwinTable(Section):
     speed_rpm: Range = Field(description="range of validity, r/min")
     torque_nm: Range = Field(description="range of validity, N m")
     band_hz: Range = Field(description="band of the excitation, Hz")
+    left: Annotated[tuple[float, float, float], Field(strict=False)] = Field(
+        description="what was left of speed, rad/s, position, rad, and torque, N m, at most: rms of a window"
+    )
+    left_bands: Annotated[tuple[float, ...], Field(strict=False)] = Field(
+        description="rms of what was left of the speed, rad/s, by octaves from one over window_s"
+    )
     held_out_ratio: float | None = Field(
         default=None, ge=0.0, description="error on windows that were not fitted over that on those fitted"
     )

@@ -1,7 +1,7 @@
 """``hil fit``: a twin, the simulated drive fitted to recordings of a real one."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -12,9 +12,6 @@ from servobench.hil.verdict.verdict import ExitStatus
 
 if TYPE_CHECKING:
     from servobench.hil.twin.fitting import Fit
-
-PREDICTED_MAX: Final = 1.2
-"""Error on a recording held out, over that on those fitted, above which the structure is not the drive's."""
 
 
 def fit(
@@ -74,6 +71,8 @@ def fit(
 
 
 def _status(found: "Fit") -> ExitStatus:
+    from servobench.hil.twin.replay import PREDICTED_MAX
+
     ratio = found.held_out_ratio
     if not found.converged:
         say("hil: the fit did not come to an end: the start is too far off, or the shaft is not rigid")

@@ -8,28 +8,28 @@ Torques are in the drive's own unit throughout: inertia, frictions and offset ar
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, Literal, Protocol
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from servobench.design.mechanism import Mechanism, Side
-from servobench.design.motor import PmsmParameters
 from servobench.design.windowed_fit import FitFailed, WindowedFit, WindowedProblem, fit_windows
 from servobench.drivers.errors import BadInput
-from servobench.hil.configuration.config import BenchConfig
-from servobench.hil.configuration.drive_current_loop import current_loop_of
 from servobench.hil.configuration.motor_file import MotorFile
-from servobench.hil.recorded.recorded_run import open_run
-from servobench.hil.rows.records import Rows
 from servobench.hil.twin.bootstrap import bootstrapped
-from servobench.hil.twin.plant import FINEST_COUNTS, Array, RecordedWindow, Rigid, TwinPlant
-from servobench.hil.twin.windows import WINDOW_S, RecordedWindows, windows_of
-from servobench.virtual_bus.drive.encoder import BY_DIFFERENCE
-from servobench.virtual_bus.drive.set_point_path import STRAIGHT
+from servobench.hil.twin.plant import Array, RecordedWindow, Rigid
+from servobench.hil.twin.twin_drive import (
+    KEY_NAMES,
+    KEYS,
+    FittedRecording,
+    RunLike,
+    TwinDrive,
+    opened_recording,
+)
+from servobench.hil.twin.windows import WINDOW_S
 
 COVERAGE_FACTOR: Final = 2.0
 COARSE_WINDOWS: Final = 24
@@ -39,65 +39,9 @@ SURE: Final = 0.5
 APART: Final = 5.0
 """A window of which so many times more is left than of most is no fit of this drive: a command that was lost
 and did not show, a push at the shaft, a start near rest that could not be found."""
-_FILTER_MIN_S: Final = 1e-6
-"""Time constant of a filter that there is none of: 160 kHz."""
-
 Free = NDArray[np.bool_]
 Source = Literal["fitted", "not determined", "fixed"]
 """Where a value is from; of the last two from the start."""
-
-
-class RunLike(Protocol):
-    """What of a run is read: a :class:`servobench.Run` has it."""
-
-    @property
-    def config(self) -> BenchConfig: ...
-
-    @property
-    def rows(self) -> Rows: ...
-
-    @property
-    def digest(self) -> str: ...
-
-
-@dataclass(frozen=True, slots=True)
-class FittedRecording:
-    """One recording of the axis."""
-
-    name: str
-    digest: str
-    config: BenchConfig
-    axis: str
-    stretches: RecordedWindows
-
-
-@dataclass(frozen=True, slots=True)
-class Key:
-    """A key of the motor file, and the field of :class:`Rigid` behind it."""
-
-    name: str
-    unit: str
-    told: Callable[[float, float], float] = lambda value, _tick_s: value
-    """From the field, and the inner period, to the key's own unit."""
-    slope: Callable[[float], float] = lambda _value: 1.0
-    """Of that, over the field."""
-
-
-KEYS: Final = (
-    Key("mechanics.inertia_kg_m2", "kg m^2"),
-    Key("mechanics.viscous_friction_nm_s", "N m s"),
-    Key("mechanics.coulomb_friction_nm", "N m"),
-    Key("load.hanging_nm", "N m"),
-    Key("twin.dead_time_us", "us", lambda value, tick_s: 1e6 * (value + tick_s), lambda _value: 1e6),
-    Key(
-        "twin.speed_filter_hz",
-        "Hz",
-        lambda value, _tick_s: 1.0 / (math.tau * value),
-        lambda value: -1.0 / (math.tau * value**2),
-    ),
-)
-"""In the order of the fields."""
-KEY_NAMES: Final = tuple(key.name for key in KEYS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +73,10 @@ class Fit:
     """Error on windows that were not fitted, over that on those that were: medians, of the worst output."""
     spread: tuple[float, float, float]
     """What is left of speed, rad/s, position, rad, and torque, N m, rms."""
+    spreads: Array
+    """(w, 3): the same of each window, and no less than the quantum of a reading makes."""
+    speed_left: list[Array]
+    """(n,) of each window."""
     converged: bool
     windows: list[RecordedWindow]
     """Those that were fitted."""
@@ -157,8 +105,8 @@ def fit_recordings(
     """
     if unknown := [name for name in fixed if name not in KEY_NAMES]:
         raise BadInput("--fix", "", unknown[0], f"one of {', '.join(KEY_NAMES)}")
-    fitted = tuple(_opened(each, axis, unsealed) for each in recordings)
-    held = () if hold_out is None else (_opened(hold_out, axis, unsealed),)
+    fitted = tuple(opened_recording(each, axis, unsealed) for each in recordings)
+    held = () if hold_out is None else (opened_recording(hold_out, axis, unsealed),)
     first = fitted[0]
     motor = start or first.config.drive[first.axis].motor
     windows = [window for each in fitted for window in each.stretches.windows]
@@ -167,7 +115,7 @@ def fit_recordings(
         told = f"{len(windows)} windows of {WINDOW_S:g} s, {left_out} left out"
         expected = f"{2 * len(KEYS) + 2} windows of torque set-points whose fate is known, without a load"
         raise BadInput(first.name, "", told, expected, "record longer, with ramps both ways")
-    drive = _Drive(motor, first)
+    drive = TwinDrive(motor, first)
     free = np.array([key.name not in fixed for key in KEYS])
     try:
         found, free, windows = _fitted(drive, windows, free)
@@ -181,81 +129,8 @@ def fit_recordings(
     return _result(drive, found, (covariance, bias), (free, fixed), (fitted, held, ratio), windows)
 
 
-class _Drive:
-    """The plant of an axis, and what is known before the fit."""
-
-    def __init__(self, motor: MotorFile, recording: FittedRecording) -> None:
-        """``motor``: the start."""
-        config, axis = recording.config, recording.axis
-        self.motor = motor
-        self._simulation = config.drive[axis].simulation
-        self._unit_nm = recording.stretches.torque_unit_nm
-        self._position_rad = recording.stretches.position_unit_rad
-        like = {} if self._simulation.like is None else self._simulation.like.parameters
-        self._speed, self._path = like.get("speed", BY_DIFFERENCE), like.get("path", STRAIGHT)
-        loop = current_loop_of(config, axis)
-        self._current_hz = (
-            None if loop is None else min(loop.bandwidth_hz, self._simulation.inner_rate_hz / 8)
-        )
-        self.tick_s = 1.0 / self._simulation.inner_rate_hz
-        self._plant = self._twin(FINEST_COUNTS)
-
-    def _twin(self, counts: int) -> TwinPlant:
-        rate_hz = self._simulation.inner_rate_hz
-        return TwinPlant(self._rigid_motor(), rate_hz, self._current_hz, self._speed, self._path, counts)
-
-    def _rigid_motor(self) -> PmsmParameters:
-        """The start without what a rigid structure has not: of its mechanism its friction alone."""
-        parameters = self.motor.parameters
-        friction = None if parameters.mechanism is None else parameters.mechanism.friction
-        rigid = None if friction is None else Mechanism(friction=replace(friction, side=Side.MOTOR))
-        return replace(parameters, mechanism=rigid, iron=None, heat=None)
-
-    @property
-    def start(self) -> Rigid:
-        mechanics, load = self.motor.mechanics, self.motor.load
-        filter_hz = self._speed.filter_hz
-        return Rigid(
-            mechanics.inertia_kg_m2,
-            mechanics.viscous_friction_nm_s,
-            mechanics.coulomb_friction_nm,
-            0.0 if load is None else load.hanging_nm,
-            0.0,
-            _FILTER_MIN_S if filter_hz is None else 1.0 / (math.tau * filter_hz),
-        )
-
-    @property
-    def scale(self) -> Rigid:
-        """What is a large change: all of an inertia, a hundredth of the rated torque, and times that no
-        controller of a bench notices."""
-        rating = self.motor.parameters
-        torque_nm = 0.01 * rating.rated_torque_nm
-        viscous = torque_nm / rating.rated_speed_rad_s
-        return Rigid(self.motor.mechanics.inertia_kg_m2, viscous, torque_nm, torque_nm, 50e-6, 100e-6)
-
-    def recorder(self) -> TwinPlant:
-        """The twin with the encoder of the recording, for a bootstrap."""
-        counts = max(16, round(math.tau / self._position_rad)) if self._position_rad > 0.0 else FINEST_COUNTS
-        return self._twin(min(counts, FINEST_COUNTS))
-
-    def problem(self, windows: Sequence[RecordedWindow], initial: Array | None = None) -> WindowedProblem:
-        plant, inertia = self._plant, self.motor.mechanics.inertia_kg_m2
-        per_root = 1.0 / math.sqrt(12.0)
-        first = [window.first_speed_rad_s for window in windows]
-        return WindowedProblem(
-            measured=tuple(window.outputs for window in windows),
-            initial=np.array(first) if initial is None else initial,
-            initial_scale=0.01 * self.motor.parameters.rated_speed_rad_s,
-            model=lambda number, theta, state: plant.run(windows[number], Rigid(*theta.tolist()), state),
-            floors=per_root * np.array([1e-6, max(self._position_rad, 1e-9), abs(self._unit_nm)]),
-            offset=(False, True, False),
-            scale=np.array(self.scale),
-            lowest=np.array([1e-3 * inertia, 0.0, 0.0, -math.inf, -math.inf, _FILTER_MIN_S]),
-        )
-
-
 def _fitted(
-    drive: _Drive, windows: list[RecordedWindow], free: Free
+    drive: TwinDrive, windows: list[RecordedWindow], free: Free
 ) -> tuple[WindowedFit, Free, list[RecordedWindow]]:
     """Return the fit, which keys were free at last, and the windows without those that stand apart."""
     problem, theta = drive.problem(windows), np.array(drive.start)
@@ -264,7 +139,8 @@ def _fitted(
     # once more, from the windows' first guesses: a state that a far start drove to rest does not leave it
     near, free = _determined(drive, problem.part(chosen.tolist()), near.parameters, free, white=False)
     rest = fit_windows(problem, near.parameters, np.zeros(len(KEYS), bool), white=False)
-    usual = np.all(rest.spreads <= APART * np.median(rest.spreads, axis=0), axis=1)
+    most = APART * np.maximum(np.median(rest.spreads, axis=0), problem.floors)
+    usual = np.all(rest.spreads <= most, axis=1)
     numbers = np.flatnonzero(usual)
     kept = replace(problem.part(numbers.tolist()), initial=rest.initial[numbers])
     found, free = _determined(drive, kept, near.parameters, free, white=True)
@@ -272,7 +148,7 @@ def _fitted(
 
 
 def _determined(
-    drive: _Drive, problem: WindowedProblem, theta: Array, free: Free, *, white: bool
+    drive: TwinDrive, problem: WindowedProblem, theta: Array, free: Free, *, white: bool
 ) -> tuple[WindowedFit, Free]:
     """Fit, and leave out one key after the other that the windows do not determine."""
     while True:
@@ -292,7 +168,7 @@ def _sure(found: WindowedFit, free: Free) -> Free:
     return keep
 
 
-def _held_out_ratio(drive: _Drive, held: Sequence[FittedRecording], found: WindowedFit) -> float | None:
+def _held_out_ratio(drive: TwinDrive, held: Sequence[FittedRecording], found: WindowedFit) -> float | None:
     windows = [window for each in held for window in each.stretches.windows]
     if not windows:
         return None
@@ -309,7 +185,7 @@ def _wider(sandwich: Array, spread: Array) -> Array:
 
 
 def _result(
-    drive: _Drive,
+    drive: TwinDrive,
     found: WindowedFit,
     uncertain: tuple[Array, Array | None],
     chosen: tuple[Free, Sequence[str]],
@@ -336,32 +212,8 @@ def _result(
         held,
         ratio,
         tuple(found.spread.tolist()),
+        np.maximum(found.spreads, drive.problem(windows).floors),
+        [each[0] for each in found.left],
         found.converged,
         windows,
     )
-
-
-def _opened(source: Path | RunLike, axis: str | None, unsealed: bool) -> FittedRecording:
-    """Read the windows of a recording. Raises BadInput."""
-    if isinstance(source, Path):
-        run = open_run(source, unsealed=unsealed, whole=True)
-        name, digest, config = str(source), run.summary.digest, run.config
-        batches = list(run.rows())
-        rows = np.concatenate(batches)
-    else:
-        name, digest, config, rows = source.config.bench.name, source.digest, source.config, source.rows
-    if axis is None and len(config.axes) > 1:
-        raise BadInput(name, "axis", "several", f"--axis with one of {', '.join(config.axes)}")
-    chosen = axis or config.axes[0]
-    if chosen not in config.axes:
-        raise BadInput("--axis", "", chosen, f"one of {', '.join(config.axes)}")
-    mode = config.drive[chosen].mode
-    if mode != "cst":
-        remedy = 'the twin\'s input is the torque that is commanded; record with mode = "cst"'
-        raise BadInput(name, f"drive.{chosen}.mode", mode, "cst", remedy)
-    mine = rows[rows["axis"] == config.axes.index(chosen)]
-    try:
-        stretches = windows_of(mine, config.loop.actuation == "on_sync")
-    except ValueError as error:
-        raise BadInput(name, chosen, str(error), "a recording with set-points of torque") from None
-    return FittedRecording(name, digest, config, chosen, stretches)

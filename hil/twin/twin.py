@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from servobench.hil.configuration.motor_file import MotorFile
-    from servobench.hil.twin.fitting import Fit, FittedKey, RunLike
+    from servobench.hil.twin.fitting import Fit, FittedKey
+    from servobench.hil.twin.twin_drive import RunLike
 
     Source = str | os.PathLike[str] | RunLike
 

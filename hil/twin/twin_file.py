@@ -13,7 +13,7 @@ from servobench.hil.configuration.motor_tables import LoadTables
 from servobench.hil.configuration.twin_table import TwinKeyTable, TwinRecording, TwinTable
 from servobench.hil.twin.fitting import Fit, FittedKey
 from servobench.hil.twin.plant import RecordedWindow
-from servobench.hil.twin.windows import WINDOW_S
+from servobench.hil.twin.windows import WINDOW_S, octaves_of
 
 NOT_FITTED: Final = (
     "torques, inertia and frictions are in the drive's own unit of torque, which nothing on a bus measures; "
@@ -121,6 +121,7 @@ def _moved(friction: FrictionTable | None, by_nm: float) -> FrictionTable | None
 def _twin(fit: Fit) -> TwinTable:
     windows, values = fit.windows, {key.name: key.value for key in fit.keys}
     held = {each.digest for each in fit.held_out}
+    speed, position, torque = (_rounded(value, 4) for value in np.max(fit.spreads, axis=0).tolist())
     return TwinTable(
         structure="rigid",
         dead_time_us=_rounded(values["twin.dead_time_us"]),
@@ -130,6 +131,8 @@ def _twin(fit: Fit) -> TwinTable:
         speed_rpm=_range([window.speed_rad_s for window in windows], RPM_PER_RAD_S),
         torque_nm=_range([window.command_nm for window in windows], 1.0),
         band_hz=_band(windows),
+        left=(speed, position, torque),
+        left_bands=tuple(_rounded(value, 4) for value in octaves_of(fit.speed_left).tolist()),
         held_out_ratio=None if fit.held_out_ratio is None else _rounded(fit.held_out_ratio, 4),
         key=tuple(
             TwinKeyTable(

@@ -7,6 +7,7 @@ SYNC, and is left out. The position of a row was carried on to the row's own sam
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -190,3 +191,12 @@ def _told_apart(rows: Rows, at: Instants, value: str, told_at: str) -> Array:
             carried = 0.5 * float(speeds) * float(at[row] - at[cycle]) / NS_PER_S
         values[cycle] = float(rows[value][row]) - carried
     return values
+
+
+def octaves_of(parts: Sequence[Array]) -> Array:
+    """Return the rms by octaves, the first from one over a window, of parts (n,); no reading counts as 0."""
+    count = min(len(part) for part in parts)
+    lines = [np.fft.rfft(np.nan_to_num(part[:count])) for part in parts]
+    power = np.asarray(np.mean(np.abs(lines) ** 2, axis=0) * 2.0 / count**2)
+    edges = [1 << octave for octave in range(max(1, (len(power) - 1).bit_length()))]
+    return np.asarray(np.sqrt(np.add.reduceat(power, [edge for edge in edges if edge < len(power)])))

@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -101,6 +102,51 @@ def test_the_command_writes_a_motor_file_that_a_bench_runs_and_motor_show_prints
     shown = hil("motor", "show", str(out))
     assert "mechanics.inertia_kg_m2" in shown
     assert "fixed" in shown
+
+
+def test_compare_tells_a_drive_that_is_the_twins_from_one_that_is_not(tmp_path: Path) -> None:
+    hidden = hidden_drive(5)
+    twin = tmp_path / "twin.toml"
+    fit(recorded(hidden, 5.0), start=MotorFile.model_validate(hidden.start)).write(twin)
+
+    def compared(signal: Callable[[float], float], name: str, **changed: Any) -> tuple[int, dict[str, Any]]:
+        motor = {**hidden.motor, **changed}
+        changes = {"bench.duration_s": 2.4, "drive.axis1.simulation.motor": motor, "bench.seed": 77}
+        run(hidden.bench, changes, signals={SPEED: signal}, record=tmp_path / name)
+        page = tmp_path / f"{name}.rrd"
+        words = ["compare", str(tmp_path / name), "--twin", str(twin), "--json", "--rrd", str(page)]
+        result = CliRunner().invoke(app, words)
+        assert page.stat().st_size > 1000
+        return result.exit_code, json.loads(result.stdout)
+
+    status, same = compared(hidden.held_out_rpm, "same")
+    assert (status, same["judgement"]) == (0, "within"), same
+    assert {window["judgement"] for window in same["windows"]} <= {"within", "out of range"}
+    mechanics = hidden.motor["mechanics"]
+    heavier = {**mechanics, "inertia_kg_m2": 1.01 * mechanics["inertia_kg_m2"]}
+    status, other = compared(hidden.held_out_rpm, "heavier", mechanics=heavier)
+    assert (status, other["judgement"]) == (1, "outside")
+    apart = [window for window in other["windows"] if window["speed"]["judgement"] == "outside"]
+    assert all(window["speed"]["difference"] > window["speed"]["allowed"] for window in apart)
+    assert sum(window["torque"]["judgement"] == "outside" for window in apart) < len(apart), (
+        "its loop is the same"
+    )
+    assert "outside" in {octave["judgement"] for octave in other["frequency_hz"].values()}
+    cogging = [{"per_turn": 12, "torque_nm": 0.01 * hidden.motor["rating"]["torque_nm"]}]
+    status, cogged = compared(hidden.held_out_rpm, "cogging", cogging=cogging)
+    assert status == 1
+    assert "outside" in {place["judgement"] for place in cogged["angle_deg"].values()}
+    status, faster = compared(lambda time_s: 1.7 * hidden.speed_rpm(time_s + 0.4), "faster")
+    assert "out of range" in {window["judgement"] for window in faster["windows"]}
+
+
+def test_what_no_twin_is_and_what_a_twin_is_not_compared_with_is_refused(tmp_path: Path) -> None:
+    hidden = hidden_drive(5)
+    motor = tmp_path / "motor.toml"
+    motor.write_text(toml_text(hidden.start))
+    for words in (["run", "--twin", str(motor)], ["one", "two", "--twin", str(motor)]):
+        result = CliRunner().invoke(app, ["compare", *words])
+        assert result.exit_code == 2
 
 
 def test_what_cannot_be_fitted_is_refused_with_its_cure() -> None:
