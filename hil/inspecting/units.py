@@ -77,10 +77,10 @@ def _units(dictionary: ObjectDictionary, scaling: Scaling | None) -> dict[Place,
     found = {}
     for variable in variables_in(dictionary):
         is_count = variable.subindex == 0 and not isinstance(variable.parent, ObjectDictionary)
-        unit = None if is_count else units.get(variable.index)
+        unit = units.get(variable.index)
         if unit is None and variable.index in MANUFACTURER and variable.unit:
             unit = SiUnit(variable.factor or 1.0, variable.unit)
-        if unit is not None:
+        if unit is not None and not is_count:
             found[variable.index, variable.subindex] = unit
     return found
 
