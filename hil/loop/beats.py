@@ -21,8 +21,6 @@ KNOWN_MIN: Final = 4
 """As few make such a line; through fewer it runs as steeply as the timer was set."""
 LATE_MIN: Final = 2
 """So many show that all are late: one may have been held up."""
-RARE: Final = 8
-"""One of so many may have come twice, or have been held up: the line is that of the others."""
 PARTS: Final = 4
 """By such a part of a period one may be off further than others: it is no whole one."""
 
@@ -47,10 +45,6 @@ class Beats:
             self._came.append(at)
             if len(self._came) > KEPT:
                 del self._came[0]
-
-    def begin(self, at: Instant) -> None:
-        """Since then they come later than before, or sooner."""
-        self._came = [came_at for came_at in self._came if came_at >= at]
 
     def periods_late(self, before: Instant, after: Instant, spread: int) -> int | None:
         """Return by how many periods those that came ``after`` are late, by those from ``before``; None if
@@ -86,11 +80,8 @@ class Beats:
         places, count = _places([*known, *later], self._usual_gap(known)), len(known)
         came = [float(at - known[0]) for at in (*known, *later)]
         few = count < KNOWN_MIN
-        slope = float(self._timer) if few else _slope(places, came, range(count))
-        off = _off_line(places, came, range(count), slope)
-        nearest = sorted(range(count), key=lambda each: abs(off[each]))[: count - count // RARE]
-        off = _off_line(places, came, nearest, slope if few else _slope(places, came, nearest))
-        low, high = min(off[each] for each in nearest), max(off[each] for each in nearest)
+        off = _off_line(places, came, count, float(self._timer) if few else _slope(places, came, count))
+        low, high = min(off[:count]), max(off[:count])
         wide = max(high - low, float(spread)) if few else high - low
         if 2.0 * wide > self._period:
             return None
@@ -100,7 +91,7 @@ class Beats:
         late = round((least - (low + high) / 2.0) / self._period)
         beyond = abs(least - (low + high) / 2.0 - late * self._period)
         within = self._period / PARTS + wide / 2.0
-        return late if late and len(later) >= LATE_MIN and beyond <= within else None
+        return late if len(later) >= LATE_MIN and beyond <= within else None
 
 
 def _places(came: Sequence[Instant], usual: int) -> list[int]:
@@ -111,14 +102,14 @@ def _places(came: Sequence[Instant], usual: int) -> list[int]:
     return places
 
 
-def _slope(places: Sequence[int], came: Sequence[float], by: Sequence[int]) -> float:
-    """Return by how much a beat comes later than the one before, ns, by the line through those ``by``."""
-    middle, mean = sum(places[each] for each in by) / len(by), sum(came[each] for each in by) / len(by)
-    wide = sum((places[each] - middle) ** 2 for each in by)
-    return sum((places[each] - middle) * (came[each] - mean) for each in by) / max(1.0, wide)
+def _slope(places: Sequence[int], came: Sequence[float], count: int) -> float:
+    """Return by how much a beat comes later than the one before, ns, on the line through the first ones."""
+    middle, mean = sum(places[:count]) / count, sum(came[:count]) / count
+    wide = sum((place - middle) ** 2 for place in places[:count])
+    return sum((places[each] - middle) * (came[each] - mean) for each in range(count)) / max(1.0, wide)
 
 
-def _off_line(places: Sequence[int], came: Sequence[float], by: Sequence[int], slope: float) -> list[float]:
-    """Return by how much each lies behind the line through the middle of those ``by``, ns."""
-    middle, mean = sum(places[each] for each in by) / len(by), sum(came[each] for each in by) / len(by)
+def _off_line(places: Sequence[int], came: Sequence[float], count: int, slope: float) -> list[float]:
+    """Return by how much each lies behind the line through the middle of the first ``count``, ns."""
+    middle, mean = sum(places[:count]) / count, sum(came[:count]) / count
     return [at - mean - slope * (place - middle) for at, place in zip(came, places, strict=True)]

@@ -185,7 +185,6 @@ class OrderQuestion:
     def settled(self, number: int, lag: int) -> bool:
         """The answer is ``lag``, up to SYNC ``number``; whether delays have changed, and nothing was lost."""
         if lag or not self.phase_known:
-            self._beats.begin(self._misses[0][1].until)
             self._shares = LossShare(number)
             return True
         for _, since in self._misses:

@@ -28,6 +28,7 @@ def test_a_beat_that_is_late_by_whole_periods_tells_by_how_many(off: int, period
 def test_one_that_is_missing_or_came_twice_moves_no_other() -> None:
     copied = [*KNOWN[:5], KNOWN[4] + 1_800_000, *KNOWN[5:]]
     assert late([*copied, 12 * TIMER, 12 * TIMER + 1_800_000]) == 0
+    assert late([*KNOWN, KNOWN[-1] + 1_800_000, 12 * TIMER]) == 0
     assert late([*KNOWN[:5], *KNOWN[6:], 13 * TIMER + PERIOD, 14 * TIMER + PERIOD]) == 1
     held = [*KNOWN[:5], KNOWN[5] + 1_400_000, *KNOWN[6:]]
     assert late([*held, 12 * TIMER + PERIOD, 13 * TIMER + PERIOD]) == 1
@@ -62,14 +63,14 @@ def test_a_statusword_that_comes_with_the_readings_says_nothing() -> None:
 def test_where_few_are_known_the_timer_says_when_the_next_is_due() -> None:
     slow = [at + at // TIMER * 30_000 for at in [*KNOWN, 12 * TIMER + PERIOD, 13 * TIMER + PERIOD]]
     assert [late(slow[-count:]) for count in (3, 4, KNOWN_MIN + 2)] == [1, 1, 1]
+    fast = [at - at // TIMER * 300_000 for at in [*KNOWN, 12 * TIMER + PERIOD, 13 * TIMER + PERIOD]]
+    assert late(fast) == 1, "the timer is not what it was set to"
     assert [late([KNOWN[-1] + held, 12 * TIMER]) for held in (400_000, 600_000)] == [0, None]
 
 
-def test_those_of_before_a_step_are_forgotten() -> None:
+def test_a_step_begins_the_line_anew() -> None:
     beats = Beats(PERIOD, Duration(TIMER))
-    for at in [*KNOWN, *(place * TIMER + 2 * PERIOD for place in range(12, 18))]:
+    for at in [*KNOWN, *(place * TIMER + 2 * PERIOD for place in range(12, 19))]:
         beats.take(Instant(at))
-    beats.begin(AFTER)
     behind = Instant(17 * TIMER + 3 * PERIOD)
-    beats.take(Instant(18 * TIMER + 2 * PERIOD))
     assert beats.periods_late(behind, behind, SPREAD) == 0
