@@ -2,7 +2,8 @@
 
 Prints for each key how often its k = 2 holds the truth, the root mean square of the error over its standard
 uncertainty, and the median width; then how well held-out runs were predicted, and the processor's time of a
-fit. ``--bootstrap N`` as for ``hil fit``; ``--seconds``: length of a recording. Leaves with 1 if a key holds
+fit. ``--bootstrap N`` as for ``hil fit``; ``--seconds``: length of a recording; ``--witness``: its motion is
+integrated by solve_ivp, and nothing is held out. Leaves with 1 if a key holds
 in less than 85 % or a run was not fitted.
 """
 
@@ -17,6 +18,7 @@ from servobench.drivers.errors import BadInput
 from servobench.hil.configuration.motor_file import MotorFile
 from servobench.hil.twin.fitting import fit_recordings
 from tests.twin.drawn import hidden_drive
+from tests.twin.witness import integrated
 
 
 def main() -> int:
@@ -26,6 +28,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1000, help="of the first drive")
     parser.add_argument("--bootstrap", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--witness", action="store_true")
     given = parser.parse_args()
     scores: dict[str, list[float]] = collections.defaultdict(list)
     widths: dict[str, list[float]] = collections.defaultdict(list)
@@ -33,8 +36,14 @@ def main() -> int:
     for seed in range(given.seed, given.seed + given.count):
         hidden = hidden_drive(seed, given.seconds)
         name = "reference.axis1.speed_rpm"
-        recorded = run(hidden.bench, signals={name: hidden.speed_rpm})
-        other = run(hidden.bench, {"bench.duration_s": 3.0}, signals={name: hidden.held_out_rpm})
+        recorded = (
+            integrated(hidden) if given.witness else run(hidden.bench, signals={name: hidden.speed_rpm})
+        )
+        other = (
+            None
+            if given.witness
+            else run(hidden.bench, {"bench.duration_s": 3.0}, signals={name: hidden.held_out_rpm})
+        )
         start = MotorFile.model_validate(hidden.start)
         begin_s = os.times().user
         try:
