@@ -4,7 +4,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.draws import few_of
 from tests.exits.cells import Cell
 from tests.exits.findings import findings
 from tests.exits.one_run import run_cell
@@ -21,7 +20,7 @@ CELLS = (
 )
 
 
-@pytest.mark.parametrize("cell", few_of(CELLS, 3), ids=str)
+@pytest.mark.parametrize("cell", CELLS, ids=str)
 def test_what_a_run_comes_to_is_told(cell: Cell, tmp_path: Path) -> None:
     ended = run_cell(cell, tmp_path)
     assert findings(ended) == [], ended.ran.case.said

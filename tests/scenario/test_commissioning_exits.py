@@ -19,7 +19,6 @@ from servobench.drivers.wire.link import BusLink
 from servobench.hil.commissioning.report import REPORT_FILE
 from servobench.hil.restoring.journal import read_journal
 from servobench.virtual_bus.drive.servo import SimulatedServo
-from tests.draws import few_of
 from tests.motors import LING
 from tests.scenario.processes import (
     HIL,
@@ -145,7 +144,7 @@ def restore(out: Path) -> subprocess.CompletedProcess[str]:
     return run_command([*hil(), "restore", str(out / "journal.jsonl")])
 
 
-@pytest.mark.parametrize("number", few_of([signal.SIGINT, signal.SIGTERM], 1))
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_stop_signal_ends_in_rest_with_everything_put_back(tmp_path: Path, number: signal.Signals) -> None:
     bus = hub_name(f"commission-{number.name.lower()}")
     with simulated_drive(bus), witness(bus) as watching:

@@ -10,7 +10,6 @@ import pytest
 from servobench.drivers.cia402.profile import State
 from servobench.drivers.timebase import NS_PER_S
 from servobench.hil.pytest_plugin import StartDrive
-from tests.draws import few_of
 from tests.scenario.processes import broker_of, changed_bench, long_bench, loop_of, observer, start_run
 from tests.warm.start import hil
 
@@ -25,7 +24,7 @@ MARGIN_S = 1.0
 """For two shared cores; the heartbeat's and the ramp's time are what counts."""
 
 
-@pytest.mark.parametrize("number", few_of([signal.SIGTERM, signal.SIGINT, signal.SIGHUP], 1))
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_stop_signal_ends_in_rest_with_the_recording_whole(
     servo_bus: str, servo_process: StartDrive, tmp_path: Path, number: signal.Signals
 ) -> None:
