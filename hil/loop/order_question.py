@@ -233,7 +233,7 @@ class OrderQuestion:
         else:
             for _, since in self._misses:
                 since.stray()
-                since.differed += number in self._probes and not self._usual.nearly_holds(delay)
+                since.differed += number in self._probes
 
     def probed(self, number: int, pause: int) -> None:
         """SYNC ``number`` has gone out late; none of the next ``pause`` is to."""
