@@ -41,7 +41,7 @@ def compare(
 
     Examples:
       hil compare runs/monday runs/tuesday
-      hil compare runs/tuesday --twin twin.toml
+      hil compare runs/real --twin twin.toml   # of a real drive
     """
     if rrd is not None and (rrd.suffix != ".rrd" or not rrd.parent.is_dir()):
         raise BadInput("--rrd", "", str(rrd), "a .rrd file in an existing folder")
