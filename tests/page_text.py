@@ -78,7 +78,11 @@ def _data(chunks: Iterable[Any]) -> Iterator[str]:
                 times, batch.column(name).to_pylist(), strict=True
             )
     for (entity, name), rows in sorted(held.items()):
-        yield from _series(f"{entity} {name}", sorted(rows, key=lambda row: row[0]))
+        is_event = name.startswith("TextLog:text") and not name.endswith(" for all time")
+        # events of one instant have no order of their own
+        yield from _series(
+            f"{entity} {name}", sorted(rows, key=lambda row: (row[0], row[1][0] if is_event else ""))
+        )
 
 
 def _series(name: str, rows: list[tuple[int, Any]]) -> Iterator[str]:
