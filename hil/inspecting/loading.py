@@ -11,16 +11,14 @@
 Whatever ends it, the drive is disabled, and the same load goes on where it ended.
 """
 
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Final
 
-from servobench.drivers.canopen.cob_ids import CAN_ID, EMERGENCY, NODE_BITS, RPDOS, TPDOS
 from servobench.drivers.canopen.objects import RemoteObjects
-from servobench.drivers.canopen.objects301 import MANUFACTURER, Cia301, is_communication
+from servobench.drivers.canopen.objects301 import MANUFACTURER, Cia301
 from servobench.drivers.canopen.write_list import NOTHING, WriteList
 from servobench.drivers.cia402.drive_setup import Identity
 from servobench.drivers.cia402.objects402 import CONTROL, Object
@@ -55,9 +53,6 @@ _REST_UNITS: Final = 2
 """An encoder may jump to and fro."""
 _REST_LOOKS: Final = 3
 _LOOK: Final = Duration(20 * NS_PER_MS)
-_OWN: Final = re.compile(r"node.?(id|address)|baud.?rate|bit.?(rate|timing)|serial.?n", re.IGNORECASE)
-"""Names of makers' objects that hold a device's place on its bus, or its serial number."""
-_PREDEFINED: Final = frozenset({*TPDOS, *RPDOS, EMERGENCY})
 _AXIS: Final = 0x800
 """Objects from one axis to the next (CiA 402-2)."""
 _PROFILE: Final = range(0x6000, 0xA000)
@@ -115,37 +110,6 @@ class Loaded:
 def loading_network(world: World) -> JournaledNetwork:
     """Return a master that reads; :func:`load_parameters` allows it what it writes."""
     return JournaledNetwork(world.link, world.clock, NOTHING)
-
-
-def for_node(parameters: ParameterSet, source: int, node: int) -> tuple[ParameterSet, dict[Place, str]]:
-    """Return the parameters of node ``source`` as ``node`` is to have them, and what is left to that device.
-
-    Identifiers of the predefined connection set follow the node-ID (CiA 301 7.3.5). Its node-ID, bit rate and
-    serial number are a device's own.
-    """
-    if source == node:
-        return parameters, {}
-    left = {
-        place: "its own"
-        for place, name in parameters.names.items()
-        if place in parameters.values and place[0] in MANUFACTURER and _OWN.search(name)
-    }
-    values = {
-        place: _moved(place, value, source, node)
-        for place, value in parameters.values.items()
-        if place not in left
-    }
-    return replace(parameters, values=values), left
-
-
-def _moved(place: Place, value: bytes, source: int, node: int) -> bytes:
-    index, sub = place
-    if not (index == Cia301.EMCY_COB_ID or (is_communication(index) and sub == 1)):
-        return value
-    cob_id = int.from_bytes(value, "little")
-    if cob_id & NODE_BITS != source or cob_id & CAN_ID & ~NODE_BITS not in _PREDEFINED:
-        return value
-    return (cob_id - source + node).to_bytes(len(value), "little")
 
 
 def load_parameters(

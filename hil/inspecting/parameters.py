@@ -5,6 +5,7 @@ domains are none: they say what a drive does at this moment, or change by themse
 """
 
 import io
+import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -13,8 +14,15 @@ from typing import Any, Final, NamedTuple
 
 from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable, export_od
 
+from servobench.drivers.canopen.cob_ids import CAN_ID, EMERGENCY, NODE_BITS, RPDOS, TPDOS
 from servobench.drivers.canopen.network import CanopenNetwork
-from servobench.drivers.canopen.objects301 import Cia301, DataType, object_name
+from servobench.drivers.canopen.objects301 import (
+    MANUFACTURER,
+    Cia301,
+    DataType,
+    is_communication,
+    object_name,
+)
 from servobench.drivers.cia402.drive_setup import Identity
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.servo import ServoDrive
@@ -47,6 +55,9 @@ NO_PARAMETERS: Final = frozenset(
 )
 CONNECT_NS: Final = Duration(2 * NS_PER_S)
 """Somebody waits at the terminal, and a drive that is on answers at once."""
+_OWN: Final = re.compile(r"node.?(id|address)|baud.?rate|bit.?(rate|timing)|serial.?n", re.IGNORECASE)
+"""Names of makers' objects that hold a device's place on its bus, or its serial number."""
+_PREDEFINED: Final = frozenset({*TPDOS, *RPDOS, EMERGENCY})
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +76,8 @@ class ParameterSet:
     """Parameters of the data sheet that the drive did not give, with its reason."""
     units: Mapping[Place, SiUnit] = field(default_factory=dict)
     """Units that are known."""
+    node: int | None = None
+    """Node-ID of the drive; None for a file that tells none."""
 
 
 class ParameterDifference(NamedTuple):
@@ -113,7 +126,7 @@ def read_parameters(
             unread[place] = f"a DCF cannot hold its text {value!r}"
     device = frozenset((identity.vendor,)), frozenset((identity.product,))
     read = _described(dictionary, f"node {node} on {bus}", device, values, unread)
-    return read, dictionary, identity
+    return replace(read, node=node), dictionary, identity
 
 
 def parameters_of(path: Path, node: int | None = None) -> ParameterSet:
@@ -122,7 +135,8 @@ def parameters_of(path: Path, node: int | None = None) -> ParameterSet:
 
     Raises BadInput for a file without parameter values.
     """
-    dictionary, values = load_dictionary(path, node).dictionary, dict[Place, bytes]()
+    loaded, values = load_dictionary(path, node), dict[Place, bytes]()
+    dictionary = loaded.dictionary
     for variable in parameters_in(dictionary):
         if variable.value is not None:
             values[variable.index, variable.subindex] = _encoded(variable, path)
@@ -131,7 +145,9 @@ def parameters_of(path: Path, node: int | None = None) -> ParameterSet:
         raise BadInput(str(path), "ParameterValue", "none", "a DCF or XDC with parameter values", cure)
     told = told_identity(dictionary)
     device = frozenset(told.vendor), frozenset(told.product)
-    return replace(_described(dictionary, str(path), device, values, {}), units=units_of(dictionary))
+    told_node = node if loaded.commissioning is None else loaded.commissioning.node_id or node
+    described = _described(dictionary, str(path), device, values, {})
+    return replace(described, units=units_of(dictionary), node=told_node)
 
 
 def compared_drive(
@@ -141,12 +157,6 @@ def compared_drive(
     :func:`read_parameters`."""
     read, dictionary, _ = read_parameters(network, node, sheet, bus, tell)
     return replace(read, units=read_units(network, node, dictionary))
-
-
-def node_of(path: Path) -> int | None:
-    """Return the node-ID that a DCF or XDC tells ([DeviceComissioning]). Raises BadInput."""
-    commissioning = load_dictionary(path).commissioning
-    return None if commissioning is None else commissioning.node_id
 
 
 def configuration_text(
@@ -169,21 +179,57 @@ def configuration_text(
     return text.getvalue()
 
 
+def for_node(parameters: ParameterSet, node: int | None) -> tuple[ParameterSet, dict[Place, str]]:
+    """Return the parameters of a node as ``node`` is to have them, and what is left to that device.
+
+    Identifiers of the predefined connection set follow the node-ID (CiA 301 7.3.5). Its node-ID, bit rate and
+    serial number are a device's own. Where one of the two is not known, nothing is moved.
+    """
+    source = parameters.node
+    if node is None or source is None or source == node:
+        return parameters, {}
+    left = {
+        place: "its own"
+        for place, name in parameters.names.items()
+        if place in parameters.values and place[0] in MANUFACTURER and _OWN.search(name)
+    }
+    values = {
+        place: _moved(place, value, source, node)
+        for place, value in parameters.values.items()
+        if place not in left
+    }
+    return replace(parameters, values=values, node=node), left
+
+
+def _moved(place: Place, value: bytes, source: int, node: int) -> bytes:
+    index, sub = place
+    if not (index == Cia301.EMCY_COB_ID or (is_communication(index) and sub == 1)):
+        return value
+    cob_id = int.from_bytes(value, "little")
+    if cob_id & NODE_BITS != source or cob_id & CAN_ID & ~NODE_BITS not in _PREDEFINED:
+        return value
+    return (cob_id - source + node).to_bytes(len(value), "little")
+
+
 def differences(first: ParameterSet, second: ParameterSet) -> list[ParameterDifference]:
     """Return the parameters in which two sets differ, by index and sub-index.
 
-    Parameters that only one of them has are among them, with an empty value of the other. Raises BadInput
-    for sets of two devices.
+    Parameters that only one of them has are among them, with an empty value of the other. Sets of two nodes
+    do not differ in what follows the node-ID, nor in what is a device's own (:func:`for_node`). Raises
+    BadInput for sets of two types of device.
     """
     for part, mine, theirs in zip(("vendor-ID", "product code"), first.device, second.device, strict=True):
         if mine and theirs and not mine & theirs:
             told, expected = (" or ".join(f"{each:08X}h" for each in sorted(ids)) for ids in (theirs, mine))
             raise BadInput(second.source, f"1018h {part}", told, f"{expected}, that of {first.source}")
+    moved, left = for_node(first, second.node)
     found = []
     for place in sorted(first.values.keys() | second.values.keys()):
         owner = first if place in first.values else second
         texts = [_compared(each.values.get(place), owner.types[place]) for each in (first, second)]
-        if texts[0] != texts[1]:
+        if texts[0] == texts[1] or place in left:
+            continue
+        if moved.values.get(place) != second.values.get(place):
             si = (
                 with_unit(each.values.get(place, b""), owner.types[place], each.units.get(place))
                 for each in (first, second)

@@ -88,11 +88,10 @@ def load(
     Examples:
       hil params load drive.dcf --bus hub:lab --node 1
     """
-    from servobench.hil.inspecting.loading import LoadRequest, for_node
-    from servobench.hil.inspecting.parameters import node_of, parameters_of
+    from servobench.hil.inspecting.loading import LoadRequest
+    from servobench.hil.inspecting.parameters import for_node, parameters_of
 
-    source = node_of(file) or node
-    parameters, left = for_node(parameters_of(file, node), source, node)
+    parameters, left = for_node(parameters_of(file, node), node)
     folder = out or Path(f"{file.stem}-node{node}")
     request = LoadRequest(bus, bitrate, node, folder, store)
     _load(request, lambda _network: (parameters, left), as_json)
@@ -117,15 +116,15 @@ def clone(
       hil params clone --bus hub:lab --node 1 --to 2 --eds drive.eds
     """
     from servobench.drivers.canopen.nmt_states import NODE_ID_MAX
-    from servobench.hil.inspecting.loading import LoadRequest, for_node
-    from servobench.hil.inspecting.parameters import read_parameters
+    from servobench.hil.inspecting.loading import LoadRequest
+    from servobench.hil.inspecting.parameters import for_node, read_parameters
 
     if to == node:
         raise BadInput("--to", "", to, f"another node id 1..{NODE_ID_MAX} than --node")
 
     def parameters(network: "JournaledNetwork") -> "tuple[ParameterSet, dict[Place, str]]":
         read, _, _ = read_parameters(network, node, eds, bus, _note)
-        moved, left = for_node(read, node, to)
+        moved, left = for_node(read, to)
         return moved, {**left, **read.unread}
 
     folder = out or Path(f"node{node}-node{to}")
@@ -204,8 +203,9 @@ def diff(
 ) -> None:
     """Compare the parameters of two files, of a file and a drive, or of two drives, in their units too.
 
-    Nothing is written to the drive. Exit status: 0 equal, 1 they differ, 2 bad input, 3 no answer or another
-    device.
+    Identifiers that follow the node-ID, and node-ID, bit rate and serial number, are no difference of two
+    nodes. Nothing is written to the drive. Exit status: 0 equal, 1 they differ, 2 bad input, 3 no answer
+    or another device.
 
     Examples:
       hil params diff drive.dcf --bus hub:lab --node 1

@@ -104,7 +104,7 @@ def simulate(asked: SimulateOptions) -> None:
     """Simulate drives in a separate process on a real-time bus, until Ctrl-C.
 
     Examples:
-      hil simulate --bus hub:lab --node 1 --export-eds drive.eds &
+      hil simulate --bus hub:lab --node 1,2 --export-eds drive.eds &
     """
     from servobench.drivers.bounded_file import NamedBy
     from servobench.hil.configuration.config import load_background

@@ -264,16 +264,26 @@ def examples_of_help(command: Any, panels: tuple[str, ...]) -> list[str]:
     return [line for line in lines if not line.endswith(NOT_RUN)]
 
 
-def test_a_file_that_help_shows_read_is_one_that_init_or_an_example_before_it_has_written() -> None:
-    command = program()
+def first_of_help() -> list[str]:
+    """Return the examples of ``--help`` that those of every panel begin with: files, and runs recorded."""
+    recorded = (line for line in examples_of_help(program(), PANELS[0]) if "--record runs/" in line)
+    return ["hil init", "hil init --examples", *recorded]
+
+
+@pytest.mark.parametrize("panels", PANELS, ids=lambda panels: panels[0])
+def test_what_help_shows_read_is_what_init_or_an_example_before_it_has_written(
+    panels: tuple[str, ...],
+) -> None:
     written = {path.name for path in (ROOT / "examples" / "first").iterdir()}
     missing = []
-    for line in [*examples_of_help(command, PANELS[0]), *examples_of_help(command, PANELS[1])]:
+    for line in [*first_of_help(), *examples_of_help(program(), panels)]:
         words = line.partition(" #")[0].split()
         for before, word in pairwise(words):
-            if before in ("--out", "--nameplate", "--export-eds", "new"):
+            if before in ("--out", "--nameplate", "--export-eds", "--record", "new", "save"):
                 written.add(word)
-            elif Path(word).suffix in (".toml", ".eds") and not word.startswith("examples/"):
+            elif word.startswith("runs/") or (
+                Path(word).suffix in (".toml", ".eds", ".dcf") and not word.startswith("examples/")
+            ):
                 missing += [line] if word not in written else []
     assert missing == []
 
@@ -283,9 +293,8 @@ def test_a_file_that_help_shows_read_is_one_that_init_or_an_example_before_it_ha
 @pytest.mark.parametrize("panels", PANELS, ids=lambda panels: panels[0])
 @pytest.mark.xdist_group("real time")
 def test_what_help_shows_typed_works_in_an_empty_folder(panels: tuple[str, ...], tmp_path: Path) -> None:
-    app_command = program()
-    first = ["hil init", "hil init --examples"]
-    lines = [*first, *(line for line in examples_of_help(app_command, panels) if line not in first)]
+    first = first_of_help()
+    lines = [*first, *(line for line in examples_of_help(program(), panels) if line not in first)]
     typed(script([Block("\n".join(lines) + "\n", "sh", "runs")]), tmp_path)
 
 

@@ -10,8 +10,8 @@ import pytest
 from servobench.drivers.cia402.profile import State
 from servobench.drivers.errors import BadInput, PeerFault
 from servobench.drivers.timebase import NS_PER_S, Duration
-from servobench.hil.inspecting.loading import Loaded, LoadRequest, for_node, load_parameters
-from servobench.hil.inspecting.parameters import ParameterSet, read_parameters
+from servobench.hil.inspecting.loading import Loaded, LoadRequest, load_parameters
+from servobench.hil.inspecting.parameters import ParameterSet, for_node, read_parameters
 from servobench.hil.restoring.journal import read_journal
 from tests.parameters.roundtrip import NODE, RATE, Bench, MortalHost, differing, on_a_bench, tried
 from tests.rehearsals.rehearsal import made_sheet
@@ -193,8 +193,8 @@ def test_for_another_node_identifiers_move_and_what_is_its_own_stays() -> None:
     values |= {(0x1014, 0): number(0x85), (0x1800, 1): number(0xC0000185), (0x1801, 1): number(0x6A5)}
     values |= {(0x1400, 1): number(0x206)}
     nobody = frozenset[int](), frozenset[int]()
-    parameters = ParameterSet("a drive", nobody, values, names, dict.fromkeys(names, 7), {})
-    moved, left = for_node(parameters, 5, 9)
+    parameters = ParameterSet("a drive", nobody, values, names, dict.fromkeys(names, 7), {}, node=5)
+    moved, left = for_node(parameters, 9)
     assert left.keys() == {(0x2000, 0), (0x2001, 0)}
     assert dict(moved.values) == {
         (0x1014, 0): number(0x89),
@@ -204,4 +204,4 @@ def test_for_another_node_identifiers_move_and_what_is_its_own_stays() -> None:
         (0x1800, 2): number(5),
         (0x2002, 0): number(5),
     }
-    assert for_node(parameters, 5, 5) == (parameters, {})
+    assert for_node(parameters, 5) == (parameters, {})
