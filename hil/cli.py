@@ -47,6 +47,7 @@ from servobench.hil.terminal.export import export
 from servobench.hil.terminal.fault import fault
 from servobench.hil.terminal.fit import fit
 from servobench.hil.terminal.init import init
+from servobench.hil.terminal.jog import homing, jog
 from servobench.hil.terminal.measure import measure
 from servobench.hil.terminal.motor import motor
 from servobench.hil.terminal.output import say
@@ -288,7 +289,7 @@ def doctor(as_json: JsonOption = False) -> None:
 
 add_commands(app, init, simulate, presets, doctor, docs, panel="Run")
 add_commands(app, scan, trace, fault, stop, eds, adapter, panel="Inspect")
-add_commands(app, commission, measure, fit, restore, rehearse, panel="Commission")
+add_commands(app, commission, jog, homing, measure, fit, restore, rehearse, panel="Commission")
 add_commands(app, view, why, review, runs, compare, picture, export, recover, panel="Review")
 app.add_typer(campaign, rich_help_panel="Run")
 app.add_typer(params, rich_help_panel="Inspect")

@@ -71,6 +71,7 @@ RESTORE: Final = (
             listed(Object.HOMING_METHOD, "homing on the index: one turn", _TURN),
             listed(Object.HOMING_SPEEDS, "speeds of that homing", _TURN, (1, 2)),
             listed(Object.HOMING_ACCELERATION, "ramp of that homing", _TURN),
+            listed(Object.HOME_OFFSET, "position of the home", "hil homing --offset-turns"),
         ),
     )
 ).named("hil restore")
@@ -81,6 +82,8 @@ COMMISSION: Final = (
         "orders", (listed(Cia301.STORE_PARAMETERS, "the drive keeps its settings", "with --store", (1,)),)
     )
 ).named("hil commission")
+JOG: Final = RESTORE.named("hil jog")
+HOMING: Final = RESTORE.named("hil homing")
 STOP: Final = CONTROL.named("hil stop")
 FAULT: Final = CONTROL.named("hil fault")
 RIG: Final = (SET_UP | MOTION).named("a fixture of pytest")
@@ -91,6 +94,8 @@ COMMANDS: Final[Mapping[str, WriteList]] = MappingProxyType(
         "run": RUN,
         "measure": MEASURE,
         "commission": COMMISSION,
+        "jog": JOG,
+        "homing": HOMING,
         "restore": RESTORE,
         "stop": STOP,
         "fault": FAULT,

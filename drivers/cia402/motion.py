@@ -9,6 +9,7 @@ controlword and bits 12 (set-point acknowledge) and 10 of the statusword:
     bit 10      -------------|_________________________|-------   target reached
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from servobench.drivers.canopen.objects import SettingRefused
@@ -64,6 +65,10 @@ class HomingSetup:
 
 KEEP_PROFILE = MoveProfile()
 KEEP_HOMING = HomingSetup()
+
+
+def _nothing(_word: int) -> None:
+    """Look at nothing."""
 
 
 class Motion:
@@ -124,14 +129,16 @@ class Motion:
         self._control.write_value(Object.TARGET_TORQUE, "h", self._scaling.torque_raw(torque_nm))
         self._check_enabled()
 
-    def home(self, method: int, deadline: Instant, how: HomingSetup) -> None:
-        """Run a homing method of CiA 402-2 to its end."""
+    def home(
+        self, method: int, deadline: Instant, how: HomingSetup, look: Callable[[int], None] = _nothing
+    ) -> None:
+        """Run a homing method of CiA 402-2 to its end. ``look``: called with each statusword; may raise."""
         self._modes.ensure(Mode.HOMING, deadline)
         self._control.clear_bits(START_HOMING)
         self._write_homing(method, how)
         self._control.set_bits(START_HOMING, START_HOMING)
         homed = HOMED | Status.TARGET_REACHED
-        self._await(homed, homed, deadline, "find its home", CONFIRM_NS, failed=HOMING_FAILED)
+        self._await(homed, homed, deadline, "find its home", CONFIRM_NS, failed=HOMING_FAILED, look=look)
         self._control.clear_bits(START_HOMING)
 
     def halt(self, deadline: Instant) -> None:
@@ -156,7 +163,14 @@ class Motion:
     # ---- inside ---------------------------------------------------------------------------------------
 
     def _await(
-        self, mask: int, wanted: int, deadline: Instant, action: str, confirm_ns: int = 0, failed: int = 0
+        self,
+        mask: int,
+        wanted: int,
+        deadline: Instant,
+        action: str,
+        confirm_ns: int = 0,
+        failed: int = 0,
+        look: Callable[[int], None] = _nothing,
     ) -> None:
         """Poll the statusword until ``word & mask == wanted``, for ``confirm_ns`` if it is so at first."""
         control, clock = self._control, self._control.network.clock
@@ -164,6 +178,7 @@ class Motion:
         started = clock.now()
         while True:
             word = self._check_enabled()
+            look(word)
             now = clock.now()
             if failed and word & failed:
                 raise DriveInFault(f"{control.title} failed to {action}", control.evidence())

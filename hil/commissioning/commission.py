@@ -8,12 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from servobench.drivers.canopen.write_list import WriteList
 from servobench.drivers.cia402.servo import ServoDrive
 from servobench.drivers.cia402.supervision import Release
 from servobench.drivers.errors import BadInput, BenchError, PeerFault
 from servobench.drivers.sheets.dictionary import LoadedDictionary, load_dictionary
 from servobench.drivers.timebase import Duration
-from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.drivers.wire.adapters import BusSpec, parse_bus_spec
 from servobench.drivers.written_file import DiskFull, writing
 from servobench.hil.commissioning.certificate import write_certificate
 from servobench.hil.commissioning.dialog import Dialog, EmergencyStop, Terminal, say
@@ -94,6 +95,19 @@ def run_command(
         if not plate_given:
             request = replace(request, nameplate=Nameplate.model_validate(plate), trust_nameplate=True)
             say("no --motor: the rehearsed drive's own nameplate is taken, and trusted against the drive")
+    return run_steps(request, commission, spec, devices, yes=yes)
+
+
+def run_steps(
+    request: CommissionRequest,
+    work: Callable[..., Commissioned],
+    spec: BusSpec,
+    devices: Sequence[CanopenDevice] = (),
+    *,
+    yes: bool,
+) -> tuple[int, dict[str, Any]]:
+    """Open the bus, do ``work``, which is :func:`commission` with steps of its own or without, and say how it
+    ended; return the exit status and the figures. ``yes``: ask nobody."""
     if not yes and not request.dry_run and not sys.stdin.isatty():
         raise BadInput("--yes", "", "no terminal to ask at", "--yes, or a terminal as standard input")
     sheet = None
@@ -102,11 +116,12 @@ def run_command(
         if sheet.repairs:
             say(f"{request.eds}: {len(sheet.repairs)} repairs, see hil eds")
     dialog = Dialog(say) if yes or request.dry_run else Terminal(sys.stdin, say)
-    plan = WorldPlan(spec, request.bitrate_bit_s, seed=rehearse or 0)
+    seed = request.rehearsal.seed or 0 if request.rehearsal else 0
+    plan = WorldPlan(spec, request.bitrate_bit_s, seed=seed)
     with stop_signals() as signals, open_world(plan, devices) as world:
         stop = EmergencyStop(signals, sys.stdin)
         with timing_conditions(world.real_time):
-            result = commission(request, world, dialog, stop, sheet)
+            result = work(request, world, dialog, stop, sheet)
     for line in summary_of(request, result):
         say(line)
     if (request.out / BENCH_FILE).exists():
@@ -125,16 +140,17 @@ def commission(
     stop: EmergencyStop,
     sheet: LoadedDictionary | None = None,
     steps: Callable[[], Sequence[Step]] | None = None,
+    writes: WriteList = COMMISSION,
 ) -> Commissioned:
     """Run the sequence. In every case the drive is brought to rest and restored, as far as it can be reached,
     and the report says how it was left.
 
     Raises BadInput if the recording cannot be written; a fault of bus or drive is part of the result.
     """
-    title = f"commissioning of node {request.node} on {request.bus}"
+    title = f"{request.purpose} of node {request.node} on {request.bus}"
     with writing("--out", request.out):
         log = SessionLog(request.out / COMMISSIONING_RECORDING, world, request.bus, title)
-    network = JournaledNetwork(world.link, world.clock, COMMISSION)
+    network = JournaledNetwork(world.link, world.clock, writes)
     session = Session(request, world, network, dialog, stop, sheet, log)
     result = Commissioned(findings=session.found, defect="an error of hil's own, see its traceback")
     chosen = list((steps or all_steps)())
@@ -200,11 +216,13 @@ def _write(session: Session, result: Commissioned) -> None:
     request = session.request
     try:
         with writing("--out", request.out):
-            if not request.dry_run:
+            if not (request.dry_run or request.brief):
                 write_files(session)
     except (BadInput, DiskFull) as error:
         result.error = result.error or error
     for name, write in (("report", write_report), ("certificate", write_certificate)):
+        if request.brief and name == "certificate":
+            continue
         try:
             with writing("--out", request.out):
                 write(request, result)

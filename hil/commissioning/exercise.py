@@ -35,7 +35,7 @@ BLIND_MAX_S: Final = 0.1
 """The exercise ends after this time without a reading."""
 _HORIZON: Final = 20
 """Cycles after which a reading or a command is lost, as in a bench."""
-_OVERSPEED: Final = 1.3
+OVERSPEED: Final = 1.3
 """Overshoot of the commanded speed at which the host stops the shaft."""
 
 
@@ -128,14 +128,14 @@ class Watched(Controller):
         path = estimate.position_rad - last.position_rad
         if passed_s > 0.0 and abs(path) > 0.05:
             speed = abs(path) / passed_s
-            if speed > 1.5 * _OVERSPEED * limits.speed_rad_s:
+            if speed > 1.5 * OVERSPEED * limits.speed_rad_s:
                 raise _exceeded("speed by position", speed, limits.speed_rad_s, "rad/s")
         # By the position: the velocity's unit may be wrong until a step has looked at it.
         torque_nm = _told_or(estimate.torque_nm, self._commanded_nm)
         if math.isnan(torque_nm):  # neither told nor commanded: speed and path bound the work
             return
         power = abs(torque_nm * path) / passed_s if passed_s > 0.0 else 0.0
-        if power > _OVERSPEED * limits.power_w:
+        if power > OVERSPEED * limits.power_w:
             raise _exceeded("power", power, limits.power_w, "W")
         energy = self._energy
         energy.spent_j += abs(torque_nm * path)
@@ -174,7 +174,7 @@ def speed_limits(limits: MotionLimits, period_s: float, guard_speed: bool) -> Sp
 
 
 def _shaft_speed_max(limits: MotionLimits, guard_speed: bool) -> float:
-    return _OVERSPEED * limits.speed_rad_s if guard_speed else math.inf
+    return OVERSPEED * limits.speed_rad_s if guard_speed else math.inf
 
 
 def _dropouts_max(period_s: float) -> int:

@@ -192,6 +192,7 @@ def as_json(request: CommissionRequest, result: Commissioned) -> dict[str, Any]:
     scale = _scale(request, result)
     return {
         "header": header_of(request, result),
+        "purpose": request.purpose,
         "bus": request.bus,
         "node": request.node,
         "error": result.ended_by or None,
@@ -241,7 +242,7 @@ def _rests_on(step: Mapping[str, Any]) -> str:
 
 
 def _title(figures: Mapping[str, Any]) -> str:
-    return f"Commissioning of node {figures['node']} on {figures['bus']}"
+    return f"{figures['purpose'].capitalize()} of node {figures['node']} on {figures['bus']}"
 
 
 def _results(figures: Mapping[str, Any]) -> list[list[str]]:

@@ -259,6 +259,14 @@ class CommissionRequest:
     """Frames that others may send, as in ``[guard]`` of a bench."""
     laboratory: Laboratory = field(default_factory=Laboratory)
     """The laboratory that the certificate names."""
+    purpose: str = "commissioning"
+    """The work in a word, for report and recording."""
+
+    @property
+    def brief(self) -> bool:
+        """True for a single motion: it is asked before that alone, and leaves a report without the files of a
+        commissioning."""
+        return self.purpose != "commissioning"
 
     @property
     def heartbeat_ms(self) -> int:

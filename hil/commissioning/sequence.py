@@ -32,6 +32,8 @@ class Step(ABC):
     """True if the shaft may turn; it then writes, too."""
     essential: ClassVar[bool] = False
     """True if later steps are not safe without it: it cannot be skipped."""
+    repeatable: ClassVar[bool] = True
+    """True if an attempt that failed by a disturbance is repeated, though nobody can be asked."""
 
     def left_out(self, session: Session) -> str | None:  # noqa: ARG002 - most steps can always be done
         """Return why this drive cannot do it, or None."""
@@ -96,7 +98,9 @@ def _why_not(session: Session, step: Step, done: set[str]) -> str | None:
 
 def _carry_out(session: Session, step: Step, record: StepRecord) -> None:
     otherwise = (Choice.QUIT,) if step.essential else (Choice.SKIP, Choice.QUIT)
-    choice = session.dialog.choose("    do it?", (Choice.GO, *otherwise), session.idle)
+    choice = Choice.GO
+    if step.moves or not session.request.brief:
+        choice = session.dialog.choose("    do it?", (Choice.GO, *otherwise), session.idle)
     while True:
         if choice is Choice.QUIT:
             raise Abandoned("ended on request", f"at the step '{step.title}'")
@@ -114,7 +118,7 @@ def _carry_out(session: Session, step: Step, record: StepRecord) -> None:
         record.verdict, record.reason = StepVerdict.FAILED, str(failure)
         session.dialog.tell(f"    failed: {failure}")
         if not session.dialog.attended:
-            if record.attempts < _attempts_unattended(failure):
+            if step.repeatable and record.attempts < _attempts_unattended(failure):
                 session.dialog.tell("    repeated, as nobody can be asked")
                 record.attempts += 1
                 continue

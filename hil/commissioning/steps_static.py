@@ -1,10 +1,10 @@
 """Steps that only listen and read: bus, identity, dictionary (with a data sheet or without one), units."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 from canopen.objectdictionary import ObjectDictionary, ODVariable
@@ -14,6 +14,7 @@ from servobench.drivers.canopen.objects301 import Cia301, DataType
 from servobench.drivers.cia402.drive_setup import read_scaling
 from servobench.drivers.cia402.judgement import judge, told_by_drive
 from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode
 from servobench.drivers.cia402.scaling import ScaleOverride, Scaling, UnitNotTold
 from servobench.drivers.errors import TransferAborted
 from servobench.drivers.rotation import RAD_S_PER_RPM
@@ -266,6 +267,8 @@ class UnitsTold(Step):
     limit = "a unit or a usable mode is not told, or nameplate and drive contradict each other by far"
     needs = ("identity",)
     essential = True
+    modes: ClassVar[tuple[Mode, ...]] = tuple(QUANTITY_OF_MODE)
+    """Modes of which the drive has to have one."""
 
     def plan(self, session: Session, /) -> str:
         motor = ", the motor by its maker's objects" if keeps_motor(session) else ""
@@ -277,10 +280,7 @@ class UnitsTold(Step):
     def run(self, session: Session, outcome: StepOutcome) -> None:
         findings, plate, objects = session.found, session.request.nameplate, session.objects
         findings.told, findings.override = told, _ = _units(session, outcome)
-        doubt_plate(session, outcome)
-        read_motor(session, outcome)
-        compare_ratings(session, outcome, told.rated_torque_nm)
-        settle_winding(session, outcome)
+        self.compare(session, outcome, told)
         for name, value, unit in (
             ("position", told.position_rad, "rad"),
             ("velocity", told.velocity_rad_s, "rad/s"),
@@ -295,7 +295,7 @@ class UnitsTold(Step):
             "rated_torque_nm": told.rated_torque_nm,
             "polarity": polarity,
         }
-        _judge(session, outcome)
+        _judge(session, outcome, self.modes)
         rpm = objects.read_if_there(Object.MAX_MOTOR_SPEED)
         findings.limits = limits = motion_limits(plate, session.rated_torque_nm, rpm)
         outcome.say(
@@ -306,6 +306,13 @@ class UnitsTold(Step):
         if mode is not None:
             findings.period, load = session.choose_period(mode)
             outcome.say(f"period {findings.period / 1e3:.0f} us, at most {load:.0f} % bus load")
+
+    def compare(self, session: Session, outcome: StepOutcome, told: Scaling) -> None:
+        """Compare the drive with the nameplate, and read its motor's data."""
+        doubt_plate(session, outcome)
+        read_motor(session, outcome)
+        compare_ratings(session, outcome, told.rated_torque_nm)
+        settle_winding(session, outcome)
 
 
 def _units(session: Session, outcome: StepOutcome) -> tuple[Scaling, ScaleOverride]:
@@ -350,13 +357,13 @@ def _plausible(told: Scaling) -> Scaling:
     return told
 
 
-def _judge(session: Session, outcome: StepOutcome) -> None:
+def _judge(session: Session, outcome: StepOutcome, asked: Sequence[Mode]) -> None:
     """Find the modes in which the drive can be commanded. Raises StepFailed if there is none, or it is no
     drive."""
     identity = session.found.identity
     assert identity is not None, "the step 'identity' comes first"
     told = told_by_drive(session.objects, identity.device_type, session.sheet_told)
-    judgement = judge(told, session.request.node, tuple(QUANTITY_OF_MODE))
+    judgement = judge(told, session.request.node, asked)
     session.found.modes = judgement.usable
     named = ", ".join(mode.title for mode in judgement.usable) or "none of use here"
     outcome.say(f"modes{'' if judgement.modes_told else ' to be tried, as 6502h tells none'}: {named}")

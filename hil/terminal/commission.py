@@ -14,7 +14,11 @@ from servobench.hil.terminal.options import (
     DriveBusOption,
     DriveFaultsOption,
     DriveNodeOption,
+    DryRunOption,
+    HeartbeatTimeoutOption,
     JsonOption,
+    UnwatchedOption,
+    YesOption,
     allowed,
     bus_option,
     fault_plan,
@@ -42,25 +46,16 @@ class CommissionOptions:
     motor: Annotated[
         Path | None, valued("--motor", "NAMEPLATE.toml", "Nameplate of the motor, and limits.")
     ] = None
-    yes: Annotated[bool, flag("--yes", "Do every step without asking.")] = False
-    dry_run: Annotated[bool, flag("--dry-run", "Only read; describe the other steps.")] = False
+    yes: YesOption = False
+    dry_run: DryRunOption = False
     store: Annotated[
         bool, flag("--store", "Store the settings in the drive (1010h) instead of undoing them.")
     ] = False
     period_us: Annotated[
         int | None, valued("--period-us", None, "Period of the cycle; default: chosen.", min=250, max=100_000)
     ] = None
-    heartbeat_timeout_ms: Annotated[
-        int,
-        valued("--heartbeat-timeout-ms", None, "Heartbeat time-out of host and drive.", min=20, max=60_000),
-    ] = 150
-    unwatched: Annotated[
-        bool,
-        flag(
-            "--unwatched",
-            "Accept a drive that cannot watch its host: motions are slow, weak and short; stand by.",
-        ),
-    ] = False
+    heartbeat_timeout_ms: HeartbeatTimeoutOption = 150
+    unwatched: UnwatchedOption = False
     bitrate: BitrateOption = 1_000_000
     rehearse: Annotated[
         int | None, valued("--rehearse", "SEED", "With --bus simulated: the drive of this seed.", min=0)

@@ -100,6 +100,18 @@ DriveBusOption = Annotated[str, bus_option("hub:NAME, socketcan:can0, or INTERFA
 DriveNodeOption = Annotated[int, valued("--node", "N", "The drive's node id.", min=1, max=127)]
 BitrateOption = Annotated[int, bitrate_option("Bit rate of the bus, bit/s.")]
 SeedOption = Annotated[int | None, EVERY_STREAM]
+YesOption = Annotated[bool, flag("--yes", "Do every step without asking.")]
+DryRunOption = Annotated[bool, flag("--dry-run", "Only read; describe the other steps.")]
+HeartbeatTimeoutOption = Annotated[
+    int, valued("--heartbeat-timeout-ms", None, "Heartbeat time-out of host and drive.", min=20, max=60_000)
+]
+UnwatchedOption = Annotated[
+    bool,
+    flag(
+        "--unwatched",
+        "Accept a drive that cannot watch its host: motions are slow, weak and short; stand by.",
+    ),
+]
 AllowOption = Annotated[
     list[str] | None,
     valued(

@@ -51,7 +51,9 @@ _VOLATILE = frozenset({0x1003, 0x1013, 0x6040})
 class Witness:
     """Listens to the bus, and asks the drive itself only once the host is gone."""
 
-    def __init__(self, bus: str) -> None:
+    def __init__(self, bus: str, by_speeds: bool = False) -> None:
+        """``by_speeds``: 606Ch comes first in TPDO2, as a drive that is given speeds has it."""
+        self.by_speeds = by_speeds
         self._clock = MonotonicClock()
         opened = open_bus(parse_bus_spec(bus), 1_000_000)
         self._bus = opened.bus
@@ -65,7 +67,10 @@ class Witness:
     def _see(self, _way: str, can_id: int, data: bytes, _extended: bool, _remote: bool, at: Instant) -> None:
         if can_id == 0x181 and len(data) == 8:
             self._note(int.from_bytes(data[:2], "little"), at)
-            self.speed_rad_s = int.from_bytes(data[2:6], "little", signed=True) * VELOCITY_UNIT_RAD_S
+            if not self.by_speeds:
+                self.speed_rad_s = int.from_bytes(data[2:6], "little", signed=True) * VELOCITY_UNIT_RAD_S
+        elif can_id == 0x281 and self.by_speeds:
+            self.speed_rad_s = int.from_bytes(data[:4], "little", signed=True) * VELOCITY_UNIT_RAD_S
         elif can_id == 0x581 and data[0] in _READ and data[1:4] == b"\x41\x60\x00":
             self._note(int.from_bytes(data[4:6], "little"), at)
         elif can_id == 0x581 and data[0] in _READ and data[1:4] == b"\x6c\x60\x00":
@@ -118,8 +123,8 @@ class Witness:
 
 
 @contextmanager
-def witness(bus: str) -> Iterator[Witness]:
-    watching = Witness(bus)
+def witness(bus: str, by_speeds: bool = False) -> Iterator[Witness]:
+    watching = Witness(bus, by_speeds)
     try:
         yield watching
     finally:
@@ -250,3 +255,26 @@ def test_a_lost_bus_ends_it_and_names_what_puts_things_back(tmp_path: Path) -> N
         assert f"hil restore {tmp_path / 'journal.jsonl'}" in said
         assert "may hold other values than before" in (tmp_path / REPORT_FILE).read_text()
         assert drive.wait(timeout=20) == 3
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_a_jog_that_is_ended_leaves_its_drive_at_rest(tmp_path: Path, number: signal.Signals) -> None:
+    """By a signal it puts everything back; where its process is killed, its parent has the drive stopped."""
+    bus = hub_name(f"jog-{number.name.lower()}")
+    with simulated_drive(bus), witness(bus, by_speeds=True) as watching:
+        before = watching.memory()
+        jog = [
+            *HIL, "jog", "--bus", bus, "--node", "1", "--out", str(tmp_path), "--yes", "--turns", "-500",
+            "--rpm", "150", "--heartbeat-timeout-ms", str(TIMEOUT_MS),
+        ]  # fmt: skip
+        process = in_background(jog, subprocess.DEVNULL, subprocess.DEVNULL)
+        watching.until_turning()
+        at = watching.now()
+        os.kill(process.pid if number == signal.SIGTERM else loop_of(process.pid), number)
+        watching.time_to_rest(at, 1e-3 * TIMEOUT_MS + STOP_S + MARGIN_S, asking=number == signal.SIGKILL)
+        _, said = process.communicate(timeout=30)
+        assert process.returncode == (130 if number == signal.SIGTERM else 6), said
+        if number == signal.SIGKILL:
+            assert "hil: node 1: at rest and" in said
+            assert restore(tmp_path).returncode == 0
+        assert watching.memory() == before

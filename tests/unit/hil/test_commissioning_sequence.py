@@ -85,7 +85,7 @@ def play(dialog: Any, steps: Sequence[Step], *, dry_run: bool = False) -> list[S
     records: list[StepRecord] = []
     session = SimpleNamespace(
         dialog=dialog,
-        request=SimpleNamespace(dry_run=dry_run),
+        request=SimpleNamespace(dry_run=dry_run, brief=False),
         check_stop=lambda: None,
         idle=lambda: None,
         begin_attempt=lambda: None,
