@@ -169,13 +169,17 @@ def opened_recording(source: Path | RunLike, axis: str | None, unsealed: bool) -
     chosen = axis or config.axes[0]
     if chosen not in config.axes:
         raise BadInput("--axis", "", chosen, f"one of {', '.join(config.axes)}")
-    mode = config.drive[chosen].mode
-    if mode != "cst":
-        remedy = 'the twin\'s input is the torque that is commanded; record with mode = "cst"'
-        raise BadInput(name, f"drive.{chosen}.mode", mode, "cst", remedy)
+    check_mode(name, chosen, config.drive[chosen].mode)
     mine = rows[rows["axis"] == config.axes.index(chosen)]
     try:
         stretches = windows_of(mine, config.loop.actuation == "on_sync")
     except ValueError as error:
         raise BadInput(name, chosen, str(error), "a recording with set-points of torque") from None
     return FittedRecording(name, digest, config, chosen, stretches)
+
+
+def check_mode(source: str, axis: str, mode: str) -> None:
+    """Raise BadInput for an axis whose set-points are not of torque."""
+    if mode != "cst":
+        remedy = 'the twin\'s input is the torque that is commanded; record with mode = "cst"'
+        raise BadInput(source, f"drive.{axis}.mode", mode, "cst", remedy)

@@ -6,11 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from servobench import BadInput, Run, fit, run
 from servobench.drivers.bounded_file import parse_toml
+from servobench.drivers.rotation import RPM_PER_RAD_S
 from servobench.hil.cli import app
 from servobench.hil.configuration.config_files import toml_text
 from servobench.hil.configuration.motor_file import MotorFile
@@ -102,6 +104,56 @@ def test_the_command_writes_a_motor_file_that_a_bench_runs_and_motor_show_prints
     shown = hil("motor", "show", str(out))
     assert "mechanics.inertia_kg_m2" in shown
     assert "fixed" in shown
+
+
+def test_the_planned_motion_determines_every_key_within_the_limits_of_the_bench(tmp_path: Path) -> None:
+    hidden = hidden_drive(3004)
+    bench, out = tmp_path / "bench.toml", tmp_path / "excite.toml"
+    rating = hidden.motor["rating"]
+    load = {"axis1": [{"at_s": 1.0, "torque_nm": rating["torque_nm"]}]}
+    bench.write_text(toml_text({**hidden.bench, "load": load, "verdict": {"settling_ms": 100}}))
+    hil("fit", "--plan", str(bench), "--out", str(out))
+    done = run(out)
+    drive = done.config.drive["axis1"]
+    assert done.config.load == {}
+    assert done.config.faults is None
+    speeds = done.axis().velocity_rad_s
+    assert (
+        0.7 * drive.limits.set_speed_rpm
+        < float(np.nanmax(abs(speeds))) * RPM_PER_RAD_S
+        < drive.limits.set_speed_rpm
+    )
+    torques = abs(done.axis().torque_nm)
+    assert float(np.nanmax(torques)) < drive.limits.torque_max_nm
+    assert abs(float(speeds[-1])) * RPM_PER_RAD_S < 0.01 * rating["speed_rpm"]
+    keys = fit(done, start=MotorFile.model_validate(hidden.start)).keys
+    assert {key.source for key in keys.values()} == {"fitted"}
+    for name in (
+        "mechanics.inertia_kg_m2",
+        "mechanics.viscous_friction_nm_s",
+        "mechanics.coulomb_friction_nm",
+    ):
+        assert keys[name].value == pytest.approx(hidden.truth[name], rel=2e-3)
+
+
+def test_a_plan_is_refused_where_it_would_not_run(tmp_path: Path) -> None:
+    bench = tmp_path / "bench.toml"
+    bench.write_text(toml_text(hidden_drive(5).bench))
+    elsewhere = tmp_path / "other"
+    elsewhere.mkdir()
+    for words in (
+        ["--plan", str(bench), "--out", str(bench)],
+        ["--plan", str(bench), "--out", str(elsewhere / "excite.toml")],
+        ["--plan", str(bench), str(elsewhere), "--out", str(tmp_path / "excite.toml")],
+        ["--plan", "examples/position_csp.toml", "--out", "examples/excite.toml"],
+        ["--plan", str(bench), "--axis", "axis2", "--out", str(tmp_path / "excite.toml")],
+        ["--out", str(tmp_path / "excite.toml")],
+    ):
+        before = bench.read_bytes()
+        result = CliRunner().invoke(app, ["fit", *words])
+        assert result.exit_code != 0, words
+        assert bench.read_bytes() == before
+        assert list(tmp_path.rglob("excite.toml")) == []
 
 
 def test_compare_tells_a_drive_that_is_the_twins_from_one_that_is_not(tmp_path: Path) -> None:
