@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.draws import ALL
 from tests.scenario.commission_suite import SEED, CommissionSuite, unknown_drive
 from tests.scenario.processes import hub_name, run, run_command
 from tests.scenario.serial_processes import adapter_process
@@ -14,9 +13,13 @@ from tests.warm.start import hil
 pytestmark = pytest.mark.xdist_group("real time")
 
 
-@pytest.mark.skipif(not ALL, reason="make draws has it, and make test-vcan on vcan")
 class TestOverSerial(CommissionSuite):
-    """The host has an emulated SLCAN adapter on a pty, the drive is on the hub behind it."""
+    """The host has an emulated SLCAN adapter on a pty, the drive is on the hub behind it.
+
+    Units, turn and a proof of the stop are half a minute; tests/vcan has the others too.
+    """
+
+    ended_at = "Inertia and friction"
 
     @pytest.fixture
     def drive_spec(self) -> str:

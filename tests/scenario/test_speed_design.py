@@ -46,7 +46,7 @@ def _designed_bench(controller: Path, loss: float) -> dict[str, Any]:
     return tables
 
 
-@pytest.mark.timeout(300)  # certificates over all sequences: half a minute of processor, longer beside others
+@pytest.mark.timeout(300)  # certificates over all sequences: a quarter of a minute of processor, and others beside it
 def test_from_measured_network_to_running_controller(tmp_path: Path) -> None:
     measured, controller = tmp_path / "measured", tmp_path / "k.toml"
     tables = read_toml(EXAMPLES / "network_measured.toml", "bench file")
@@ -59,7 +59,7 @@ def test_from_measured_network_to_running_controller(tmp_path: Path) -> None:
     assert 300 < network.delay_max_us < 2000
     status, _, err = run(
         "design", "speed", MOTOR, "--network", str(measured / "network.toml"), "--feedback", "speed",
-        "--bench", str(measured / "bench.toml"), "--extra-losses", "3", "--delay-margin-percent", "5",
+        "--bench", str(measured / "bench.toml"), "--extra-losses", "1", "--delay-margin-percent", "5",
         "--out", str(controller),
     )  # fmt: skip
     assert status == 0, err
@@ -67,7 +67,7 @@ def test_from_measured_network_to_running_controller(tmp_path: Path) -> None:
     made = config.drive["axis1"].controller
     assert made.kind == "state_feedback"
     assert made.made_for is not None
-    assert made.made_for.losses_in_a_row_max == network.losses_max + 3
+    assert made.made_for.losses_in_a_row_max == network.losses_max + 1
     assert made.certificate is not None
     sequences = made.certificate.sequences
     assert sequences is not None
@@ -97,7 +97,7 @@ def _bench(tables: dict[str, Any], record: Path, **options: Any) -> dict[str, An
 
 def test_the_sampled_loop_itself_is_made_best(tmp_path: Path) -> None:
     network, out = tmp_path / "n.toml", tmp_path / "k.toml"
-    network.write_text(HAND_WRITTEN)
+    network.write_text(HAND_WRITTEN.replace("losses_in_a_row_max = 1", "losses_in_a_row_max = 0"))
     asked = ("design", "speed", MOTOR, "--network", str(network), "--feedback", "speed")
     constant = told(*asked)
     sampled = told(*asked, "--target", "sampled", "--out", str(out))

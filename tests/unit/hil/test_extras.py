@@ -29,6 +29,25 @@ class Without:
 
 sys.meta_path.insert(0, Without())
 """
+EACH = """
+import json, os, sys, tempfile
+from servobench.hil.cli import main
+
+told = []
+for line in sys.argv[1:]:
+    with tempfile.TemporaryFile("w+") as said:
+        child = os.fork()
+        if not child:
+            os.dup2(said.fileno(), 1)
+            os.dup2(said.fileno(), 2)
+            sys.argv = ["hil", *line.split()]
+            main()
+        status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        said.seek(0)
+        told.append((status, said.read()))
+print(json.dumps(told))
+"""
+"""Each command line in a process that is forked off where nothing but the command itself is imported."""
 PLATE = """
 [motor]
 resistance_ohm = 0.1
@@ -58,9 +77,20 @@ def core(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def hil(
     folder: Path, *words: str, module: str = "servobench.hil.cli", within: str = ""
 ) -> subprocess.CompletedProcess[str]:
+    return python(folder / within, folder, "-m", module, *words)
+
+
+def hil_each(folder: Path, *lines: str) -> list[tuple[int, str]]:
+    """Status and words of each command line, in the folder of the bench."""
+    done = python(folder / "mybench", folder, "-c", EACH, *lines)
+    assert done.returncode == 0, done.stderr
+    return [(status, words) for status, words in json.loads(done.stdout)]
+
+
+def python(within: Path, folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", module, *words],
-        cwd=folder / within,
+        [sys.executable, *words],
+        cwd=within,
         env={**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)])},
         capture_output=True,
         text=True,
@@ -93,20 +123,21 @@ def test_a_bench_runs_and_its_recording_lacks_the_page_alone(core: Path) -> None
     kept = {path.name for path in (core / "mybench" / "run").iterdir()}
     assert {"records.arrow", "frames.arrow", "events.jsonl", "summary.json", "seal"} <= kept
     assert "run.rrd" not in kept
-    for line in ("review run", "runs .", "compare run run", "trace run --to 0.01"):
-        read = hil(core, *line.split(), within="mybench")
-        assert read.returncode == 0, read.stderr
-    assert hil(core, "export", "run", "--to", "csv", within="mybench").returncode == 0
-    for line, extra in (
-        ("view run", "view"),
-        ("run bench.toml --view", "view"),
-        ("compare run run --rrd both.rrd", "view"),
-        ("picture run page.png", "view"),
-        ("review run --report report.html", "report"),
-        ("export run --to mf4", "mf4"),
-        ("export run --to mat", "design"),
-    ):
-        said(hil(core, *line.split(), within="mybench"), line, extra)
+    lines = "review run", "runs .", "compare run run", "trace run --to 0.01", "export run --to csv"
+    for line, (status, words) in zip(lines, hil_each(core, *lines), strict=True):
+        assert status == 0, (line, words)
+    each_says(
+        core,
+        {
+            "view run": "view",
+            "run bench.toml --view": "view",
+            "compare run run --rrd both.rrd": "view",
+            "picture run page.png": "view",
+            "review run --report report.html": "report",
+            "export run --to mf4": "mf4",
+            "export run --to mat": "design",
+        },
+    )
 
 
 @pytest.mark.long
@@ -122,20 +153,19 @@ def test_the_fixtures_of_pytest_run_a_bench(core: Path) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("line", "extra"),
-    [
-        ("design hinf motor.toml", "design"),
-        ("design speed motor.toml --delay-ms 2 --error-percent 10", "design"),
-        ("analyse speed motor.toml --gain 0.01,0.01 --delay-ms 2", "design"),
-        ("measure --bus hub:nobody --node 1", "design"),
-        ("campaign run sweep.toml", "campaign"),
-        ("reproduce ling2012", "design"),
-        ("commission --bus hub:nobody --node 1 --motor plate.toml --out dry --yes", "design"),
-    ],
-)
-def test_a_command_says_which_extra_it_lacks(core: Path, line: str, extra: str) -> None:
-    said(hil(core, *line.split(), within="mybench"), line, extra)
+def test_a_command_says_which_extra_it_lacks(core: Path) -> None:
+    each_says(
+        core,
+        {
+            "design hinf motor.toml": "design",
+            "design speed motor.toml --delay-ms 2 --error-percent 10": "design",
+            "analyse speed motor.toml --gain 0.01,0.01 --delay-ms 2": "design",
+            "measure --bus hub:nobody --node 1": "design",
+            "campaign run sweep.toml": "campaign",
+            "reproduce ling2012": "design",
+            "commission --bus hub:nobody --node 1 --motor plate.toml --out dry --yes": "design",
+        },
+    )
 
 
 @pytest.mark.long
@@ -146,10 +176,12 @@ def test_a_drive_is_put_back_without_an_extra(core: Path) -> None:
     assert (done.returncode, "node 7 on hub:nobody did not answer" in done.stderr) == (3, True), done.stderr
 
 
-def said(done: subprocess.CompletedProcess[str], line: str, extra: str) -> None:
-    assert done.returncode == 2, (line, done.stderr)
-    assert f"needs the extra {extra} (" in done.stderr, (line, done.stderr)
-    assert f"pip install 'servobench[{extra}]'" in done.stderr
+def each_says(core: Path, extra_of: dict[str, str]) -> None:
+    told = hil_each(core, *extra_of)
+    for (line, extra), (status, words) in zip(extra_of.items(), told, strict=True):
+        assert status == 2, (line, words)
+        assert f"needs the extra {extra} (" in words, (line, words)
+        assert f"pip install 'servobench[{extra}]'" in words
 
 
 def test_a_module_of_the_users_own_that_is_missing_is_no_extra(monkeypatch: pytest.MonkeyPatch) -> None:
