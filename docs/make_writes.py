@@ -22,10 +22,10 @@ today the simulated drive alone, whose load machine is 2100h.
 `hil params load` and `clone` write the parameters that the file or the other drive names, 2000h to 5FFFh too,
 beside 6040h and, with `--store`, 1010h; 1018h has said before that the drive is the file's.
 
-`hil restore`, and the end of `hil commission`, `hil jog`, `hil homing` and `hil measure`, put back what the
-journal names; of the other objects they write 6040h and 1003h alone. A drive file's `[[object]]` may name
-an object of the list of `hil run`. `hil eds`, `hil motor`, `hil trace` and `hil scan` write nothing; `hil
-scan --assign` gives node-IDs by LSS.
+`hil restore`, and the end of `hil commission`, `hil jog`, `hil homing`, `hil brake` and `hil measure`, put
+back what the journal names; of the other objects they write 6040h and 1003h alone. A drive file's
+`[[object]]` may name an object of the list of `hil run`. `hil eds`, `hil motor`, `hil trace` and `hil scan`
+write nothing; `hil scan --assign` gives node-IDs by LSS.
 
 A fixture of pytest has the objects of the set-up and those of profile moves and homing (607Ch, 6081h,
 6083h, 6084h, 6087h, 6098h to 609Ah). `rig.allow_write(index, sub)` adds one that the test itself writes.

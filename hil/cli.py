@@ -27,6 +27,7 @@ from servobench.hil.machine.extras import MissingExtra, is_installed
 from servobench.hil.machine.parent_process import messages, tell_parent
 from servobench.hil.terminal import analyse_losses, analyse_peaks, analyse_speed, design_speed
 from servobench.hil.terminal.adapter import adapter
+from servobench.hil.terminal.brake import brake
 from servobench.hil.terminal.campaign import campaign
 from servobench.hil.terminal.commands import (
     PanelGroup,
@@ -47,6 +48,7 @@ from servobench.hil.terminal.export import export
 from servobench.hil.terminal.fault import fault
 from servobench.hil.terminal.fit import fit
 from servobench.hil.terminal.init import init
+from servobench.hil.terminal.io import io
 from servobench.hil.terminal.jog import homing, jog
 from servobench.hil.terminal.measure import measure
 from servobench.hil.terminal.motor import motor
@@ -288,8 +290,8 @@ def doctor(as_json: JsonOption = False) -> None:
 
 
 add_commands(app, init, simulate, presets, doctor, docs, panel="Run")
-add_commands(app, scan, trace, fault, stop, eds, adapter, panel="Inspect")
-add_commands(app, commission, jog, homing, measure, fit, restore, rehearse, panel="Commission")
+add_commands(app, scan, trace, fault, stop, io, eds, adapter, panel="Inspect")
+add_commands(app, commission, jog, homing, brake, measure, fit, restore, rehearse, panel="Commission")
 add_commands(app, view, why, review, runs, compare, picture, export, recover, panel="Review")
 app.add_typer(campaign, rich_help_panel="Run")
 app.add_typer(params, rich_help_panel="Inspect")

@@ -72,6 +72,12 @@ RESTORE: Final = (
             listed(Object.HOMING_SPEEDS, "speeds of that homing", _TURN, (1, 2)),
             listed(Object.HOMING_ACCELERATION, "ramp of that homing", _TURN),
             listed(Object.HOME_OFFSET, "position of the home", "hil homing --offset-turns"),
+            listed(
+                Object.DIGITAL_OUTPUTS,
+                "outputs, the brake's among them",
+                "hil io --set, hil brake --test",
+                (1, 2),
+            ),
         ),
     )
 ).named("hil restore")
@@ -84,6 +90,8 @@ COMMISSION: Final = (
 ).named("hil commission")
 JOG: Final = RESTORE.named("hil jog")
 HOMING: Final = RESTORE.named("hil homing")
+BRAKE: Final = RESTORE.named("hil brake")
+IO: Final = WriteList("hil io", (listed(Object.DIGITAL_OUTPUTS, "outputs as asked for", "--set", (1, 2)),))
 STOP: Final = CONTROL.named("hil stop")
 FAULT: Final = CONTROL.named("hil fault")
 RIG: Final = (SET_UP | MOTION).named("a fixture of pytest")
@@ -96,6 +104,8 @@ COMMANDS: Final[Mapping[str, WriteList]] = MappingProxyType(
         "commission": COMMISSION,
         "jog": JOG,
         "homing": HOMING,
+        "brake": BRAKE,
+        "io": IO,
         "restore": RESTORE,
         "stop": STOP,
         "fault": FAULT,

@@ -14,7 +14,7 @@ from servobench.drivers.cia402.motion import HOMED, HomingSetup
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode
 from servobench.drivers.cia402.scaling import Scaling
-from servobench.drivers.errors import LimitExceeded
+from servobench.drivers.errors import LimitExceeded, PeerFault
 from servobench.drivers.exchange import Reading
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.timebase import NS_PER_S, Instant
@@ -100,6 +100,16 @@ class ManualStep(Step):
     essential = True
     repeatable = False
 
+    def lack(self, session: Session) -> str:  # noqa: ARG002 - most drives can do it
+        """Return why this drive cannot do it; empty if it can."""
+        return ""
+
+    def left_out(self, session: Session) -> str | None:
+        """Raise PeerFault for a drive that cannot do it: without this step nothing is done."""
+        if lack := self.lack(session):
+            raise PeerFault(lack)
+        return None
+
 
 class Jog(ManualStep):
     """Turns the shaft by a path, at a speed."""
@@ -184,8 +194,8 @@ class Home(ManualStep):
         self._path_units = 0
         self._last: int | None = None
 
-    def left_out(self, session: Session) -> str | None:
-        return None if can_home(session) else "the drive has no homing"
+    def lack(self, session: Session) -> str:
+        return "" if can_home(session) else "the drive has no homing"
 
     def plan(self, session: Session, /) -> str:
         how, limits = self._within(session), session.limits
@@ -254,11 +264,16 @@ class Home(ManualStep):
         stall.look(place * session.position_rad, session.clock_now)
 
 
+def set_up_steps(units: UnitsTold) -> list[Step]:
+    """Return the steps before a single motion."""
+    return [BusCheck(), IdentityCheck(), units, SetUp(), StopSettings()]
+
+
 def jog_steps(turns: float) -> Sequence[Step]:
     """Return the steps of ``hil jog``."""
-    return [BusCheck(), IdentityCheck(), SpeedUnits(), SetUp(), StopSettings(), Jog(turns)]
+    return [*set_up_steps(SpeedUnits()), Jog(turns)]
 
 
 def homing_steps(home: Home) -> Sequence[Step]:
     """Return the steps of ``hil homing``."""
-    return [BusCheck(), IdentityCheck(), SpeedUnits(), SetUp(), StopSettings(), home]
+    return [*set_up_steps(SpeedUnits()), home]

@@ -127,7 +127,7 @@ def load_parameters(
     drive = ServoDrive(network, request.node)
     identity = drive.connect(network.deadline_after(CONNECT_NS))
     _check_device(wanted, identity, request.node)
-    _check_rest(drive.objects)
+    check_rest(drive.objects)
     result = Loaded(len(wanted.values))
     held = _held(network, request.node, wanted, result)
     values = {ObjectKey(*place): wanted.values[place] for place in sorted(held, key=_rank)}
@@ -143,7 +143,7 @@ def load_parameters(
                 _write(network, drive.objects, wanted, values, result, check_stop)
                 return_to(network, request.node, journal.contents.head.nmt)
             if request.store:
-                _check_state(drive.objects)
+                check_disabled(drive.objects)
                 _store(network, request.node, result)
     except BenchError:
         if journal is not None and journal.contents.changes:
@@ -203,9 +203,9 @@ def _check_device(wanted: ParameterSet, identity: Identity, node: int) -> None:
             )
 
 
-def _check_rest(objects: RemoteObjects) -> None:
+def check_rest(objects: RemoteObjects) -> None:
     """Raise PeerFault unless the drive is disabled and stands; nothing is sent to it but requests."""
-    _check_state(objects)
+    check_disabled(objects)
     places = []
     for _ in range(_REST_LOOKS):
         places.append(objects.read_if_there(Object.POSITION_ACTUAL_VALUE, 0, "i"))
@@ -218,7 +218,8 @@ def _check_rest(objects: RemoteObjects) -> None:
         )
 
 
-def _check_state(objects: RemoteObjects) -> None:
+def check_disabled(objects: RemoteObjects) -> None:
+    """Raise PeerFault unless the drive is disabled."""
     word = objects.read(Object.STATUSWORD, 0, "H")
     if state_of(word) not in DISABLED:
         raise PeerFault(f"node {objects.node_id} is not disabled", f"statusword {word:04X}h", _cure(objects))
@@ -253,7 +254,7 @@ def _write(
     def check() -> None:
         check_stop()
         try:
-            _check_state(objects)
+            check_disabled(objects)
         except PeerFault:
             bring_to_rest(objects)
             raise

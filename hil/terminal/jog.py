@@ -36,7 +36,7 @@ def _rpm(name: str, text: str) -> Any:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionOptions:
-    """Options of both."""
+    """Options of a single motion."""
 
     bus: DriveBusOption
     node: DriveNodeOption
@@ -101,7 +101,7 @@ def jog(
 
     if not 0.0 < abs(turns) <= 1e4:
         raise BadInput("--turns", "", turns, "a path other than 0, up to 10000")
-    _move(shared, "jog", jog_limits(turns, rpm, shared.torque_max_percent), lambda: jog_steps(turns))
+    move(shared, "jog", jog_limits(turns, rpm, shared.torque_max_percent), lambda: jog_steps(turns))
 
 
 def homing(shared: MotionOptions, how: HomingOptions) -> None:
@@ -126,7 +126,7 @@ def homing(shared: MotionOptions, how: HomingOptions) -> None:
     offset_rad = None if how.offset_turns is None else how.offset_turns * math.tau
     speeds = HomingSetup(how.rpm * RAD_S_PER_RPM, how.zero_rpm * RAD_S_PER_RPM, None, offset_rad)
     limits = homing_limits(max(how.rpm, how.zero_rpm), shared.torque_max_percent)
-    _move(
+    move(
         shared,
         "homing",
         limits,
@@ -134,7 +134,7 @@ def homing(shared: MotionOptions, how: HomingOptions) -> None:
     )
 
 
-def _move(
+def move(
     shared: MotionOptions, purpose: str, limits: "PlateLimits", steps: "Callable[[], Sequence[Step]]"
 ) -> NoReturn:
     """Run the steps, and leave with their status. Raises BadInput or BadInputs."""

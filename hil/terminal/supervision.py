@@ -35,7 +35,7 @@ from servobench.hil.terminal.relay import Relay, write_all
 from servobench.hil.terminal.taken_over import Ended, concluded, lost, not_begun
 from servobench.hil.verdict.verdict import ExitStatus
 
-SUPERVISED: Final = ("run", "campaign", "measure", "commission", "jog", "homing")
+SUPERVISED: Final = ("run", "campaign", "measure", "commission", "jog", "homing", "brake")
 """Commands that move drives in a loop, or execute the user's code."""
 _FROM_KERNEL: Final = 0x80
 """SI_KERNEL of <asm-generic/siginfo.h>: a key of the terminal, which its whole foreground group has heard."""

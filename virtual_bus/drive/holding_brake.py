@@ -84,7 +84,7 @@ class HoldingBrake:
         return self._written & ~_SET_BRAKE | own
 
     def _write(self, outputs: int) -> None:
-        self._written = outputs & self._mask | self._written & ~self._mask
+        self._written = outputs  # the mask decides what of it counts
         self.decide()
 
     def _take_mask(self, mask: int) -> None:

@@ -34,7 +34,7 @@ from servobench.hil.configuration.bench_file import faults_from
 from servobench.hil.execution.world import WorldPlan, open_world
 from servobench.hil.machine.stopping import StopRequest
 from servobench.hil.restoring.journal import read_journal
-from servobench.hil.write_lists import HOMING, JOG
+from servobench.hil.write_lists import writes_of
 from servobench.virtual_bus.drive.data_sheet import only_modes
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from servobench.virtual_bus.frame import Frame
@@ -146,8 +146,9 @@ def moved(
     with open_world(plan, [drive]) as world:
         put_on_the_bus(world, tap, heard)
         world.faults.start(world.clock.now())
+        world.clock.sleep_until(Instant(100 * NS_PER_MS))
         before = memory(drive)
-        writes = JOG if purpose == "jog" else HOMING
+        writes = writes_of(purpose)
         result = Commissioned()
         try:
             result = commission(
