@@ -12,12 +12,12 @@ Each way has the cost of what must have happened for it.
 from statistics import median_low
 from typing import Final
 
-from servobench.drivers.timebase import Duration, Instant
+from servobench.drivers.timebase import Instant
 from servobench.drivers.wire.frame_port import EchoBasis
-from servobench.hil.loop.drive_stamps import DriveStamps
-from servobench.hil.loop.residuals import NEARER, DelayExtremes
+from servobench.hil.loop.answered_syncs import AnsweredSyncs
+from servobench.hil.loop.residuals import NEARER
 from servobench.hil.loop.suspects import DELAY_COST, LIKELY_COST_MAX, LOSS_COST_MAX, STEP_COST, Line, Suspect
-from servobench.hil.loop.syncs import STAMPED_LATE, SURPLUS, SyncLog, SyncMark
+from servobench.hil.loop.syncs import SURPLUS, SyncMark
 
 AGREEING: Final = 8
 """Readings that must agree before it is settled: fewer could be chance under a jittering SYNC."""
@@ -45,94 +45,20 @@ SCATTER_PARTS: Final = 20
 UNHEARD_PARTS: Final = 4
 """One suspect in so many may answer a SYNC of another node that was not heard: or else lines would be lost
 for the lack of one, and one that needs none of them taken though it is the worse."""
-STAMPS_MAX: Final = 512
-"""Stamps kept before those of forgotten SYNCs are dropped."""
 DRIFT_WITHIN: Final = 2e-3
 """Rates up to 2000 ppm off the old one are looked for among suspects."""
 
 
-class ClockQuestion:
-    """Knowledge while the question is open, and the ways out of it."""
+class ClockQuestion(AnsweredSyncs):
+    """The ways out of the question, while it is open."""
 
-    def __init__(
-        self,
-        syncs: SyncLog,
-        stamps: DriveStamps,
-        period: Duration,
-        transit: Duration,
-        at_arrival: bool,
-    ) -> None:
-        """``transit``: shortest time of a reading's frame. ``at_arrival``: see :meth:`unstamped_ns`."""
-        self.stamps: dict[int, int] = {}
-        """Stamps of the SYNCs answered, by their numbers."""
-        self.delays = DelayExtremes()
-        """From a SYNC to its reading."""
-        self.revoked: list[tuple[SyncMark, int]] = []
-        """Placements just before the question that it touches, and their stamps."""
-        self.answered = 0
-        """Number of the newest SYNC answered."""
-        self.since = 0
-        """Number of the newest SYNC answered when the question was put."""
-        self.twice = 0
-        """Readings that came twice since the last one that raised no question."""
-        self._low = 0
-        self._syncs = syncs
-        self._stamps = stamps
-        self._transit = transit
-        self._half = period // 2
-        self._at_arrival = at_arrival
-        self._echoes_late = syncs.basis in STAMPED_LATE
+    _low: int = 0  # the smallest delay before it
 
     @property
     def agreeing(self) -> int:
         """How many readings settle it. Of delays that spread over less than a period a line that is a period
         off has some below the time of a frame, or all above those of before."""
         return AGREEING_SPREAD if self.delays.spreads(self._half * 7 // 4) else AGREEING
-
-    def bounded(self, error_ns: int, after: int, delay: int) -> int:
-        """``error_ns`` of a sample ``after`` its SYNC, or less where stamps are coarse and what the ``delay``
-        of its reading from the SYNC exceeds the smallest by says so, as it does without stamps."""
-        if self._echoes_late or not self._stamps.coarse:
-            return error_ns
-        return min(error_ns, max(after, self.delays.late(delay, self._transit) - after))
-
-    def hidden_ns(self, delay: int) -> int:
-        """Return how late the SYNC of a reading of ``delay`` may have been, its stamp not telling."""
-        hidden = self._stamps.hidden_ns
-        return min(hidden, self.delays.late(delay, self._transit)) if hidden else 0
-
-    def unstamped_ns(self, delay: int) -> int:
-        """How much later than its stamp a reading of ``delay`` may have been sampled: 0 unless the stamp is
-        latched when the SYNC comes. What the drive took from there is in no stamp, but in the delay."""
-        if not self._at_arrival:
-            return 0
-        return self.delays.late(delay, self._transit)
-
-    def answer(self, mark: SyncMark, device_ns: int) -> None:
-        """``mark`` has its reading."""
-        self.stamps[mark.number] = device_ns
-        self.answered = max(self.answered, mark.number)
-        if len(self.stamps) > STAMPS_MAX:
-            oldest = self._syncs.marks[0].number
-            self.stamps = {number: stamp for number, stamp in self.stamps.items() if number >= oldest}
-
-    def rivals(self, mark: SyncMark, at: Instant) -> list[SyncMark]:
-        """The SYNCs beside the nearest, ``mark``, whose reading a stamp at ``at`` may be of too: it lies on
-        them, or a drive that latches at arrival had not answered them when ``mark`` came."""
-        rivals: list[SyncMark] = []
-        for other in self._syncs.beside(mark):
-            on_bus_at = other.on_bus_at
-            if on_bus_at is not None and (self._stamps.reaches(at - on_bus_at) or self._is_late(other, mark)):
-                rivals.append(other)
-        return rivals
-
-    def _is_late(self, before: SyncMark, mark: SyncMark) -> bool:
-        """True if ``before`` has no reading when that of ``mark`` comes, within half a period behind it."""
-        if not self._at_arrival or before.number > mark.number or before.number in self.stamps:
-            return False
-        assert before.on_bus_at is not None
-        assert mark.on_bus_at is not None
-        return mark.on_bus_at - before.on_bus_at < self._half
 
     def excludes_steps(self, mark: SyncMark, delay: int, at: Instant, suspects: list[Suspect]) -> bool:
         """Return whether a reading that came ``at``, a ``delay`` after the SYNC of ``mark``, is unusual for
@@ -151,15 +77,6 @@ class ClockQuestion:
             return False
         delays = [each.received_at - self._stamps.clock.place(each.device_ns) for each in suspects]
         return len(delays) < AGREEING_ALONE or min(delay, *delays) < low + self._half
-
-    def free_marks(self, latest: Instant) -> list[SyncMark]:
-        """SYNCs of cycles that may have ended by ``latest`` and have no stamp."""
-        return [
-            mark
-            for mark in self._syncs.marks
-            if mark.on_bus_at is not None and mark.on_bus_at - mark.late_ns <= latest
-            if mark.number not in self.stamps and mark.sequence != SURPLUS
-        ]
 
     def note_residuals(self, suspects: list[Suspect]) -> None:
         """Suspects lie off their SYNCs though the clock is as it was: others may too. Where a SYNC may wait
@@ -295,6 +212,8 @@ class ClockQuestion:
         if UNHEARD_PARTS * marks.count(None) > len(marks):
             return None
         smallest = min(suspect.received_at - at for suspect, at in zip(last, placed, strict=True))
+        if scatters and self._comes_too_soon(smallest, misses):
+            return None
         smallest -= middle if self._echoes_late else max(misses)
         mean = sum(misses) / len(misses)
         squares = sum((miss - mean) ** 2 for miss in misses) * len(last) / len(misses)
@@ -306,10 +225,13 @@ class ClockQuestion:
             return None
         return self._costed(marks, smallest, steps, misfit, moved_by)
 
-    def _is_anothers(self, mark: SyncMark, suspect: Suspect) -> bool:
-        """Return whether the SYNC of ``mark`` has a reading that is not the suspect."""
-        known = self.stamps.get(mark.number)
-        return known is not None and (known != suspect.device_ns or suspect.repeats)
+    def _comes_too_soon(self, smallest: int, misses: list[int]) -> bool:
+        """Return whether a reading was sampled later than its frame takes before it came, by its stamp: at
+        the instant that this tells, if the SYNC was not late to the drive whose stamp lies earliest, or whose
+        echo was late by least, where echoes are."""
+        stamps = self._stamps
+        sampled = min(misses) if self._echoes_late else max(misses)
+        return smallest - sampled < self._transit - stamps.unmapped_ns - stamps.resolution - stamps.hidden_ns
 
     def _is_second(
         self, answered: SyncMark, stamp: int, last: list[Suspect], marks: list[SyncMark | None]
@@ -363,16 +285,8 @@ class ClockQuestion:
         else:
             cost = min(lost + self.twice, LOSS_COST_MAX)
         change = abs(smallest - self._low)
-        if change > self._half + self.delays.slack():
-            cost += DELAY_COST
-        return Line(cost, change, tuple(marks), steps, misfit, moved_by)
-
-    def alike(self, placed: list[tuple[Suspect, SyncMark]]) -> list[tuple[Suspect, SyncMark]]:
-        """Those of the suspects behind a step whose delays are like the least one: a longer delay may be that
-        of a reading from before a further step, placed by that one."""
-        delays = [suspect.received_at - (mark.on_bus_at or 0) for suspect, mark in placed]
-        most = min(delays) + self.delays.high - self.delays.low + self.delays.slack() + self._half
-        return [each for each, delay in zip(placed, delays, strict=True) if delay <= most]
+        others = change > self._half + self.delays.slack()
+        return Line(cost + DELAY_COST * others, change, tuple(marks), steps, misfit, moved_by, others)
 
     def _agrees(self, used: set[int], moved_by: int) -> bool:
         """Return whether the readings before the suspects can be placed as well, if the clock was set among
@@ -391,9 +305,3 @@ class ClockQuestion:
             if len(taken) == len(used) + len(placed) and not taken.intersection(self.stamps):
                 return True
         return False
-
-    def _lost_before(self, number: int) -> int:
-        """SYNCs of cycles after the last certainly answered one and before ``number``."""
-        return sum(
-            self.since < mark.number < number and mark.on_bus_at is not None for mark in self._syncs.marks
-        )

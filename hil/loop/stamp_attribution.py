@@ -217,15 +217,17 @@ class StampAttribution:
         self.question.cleared = self.doubt.proved and not self.doubt.open
 
     def _exonerate(self, placed: list[tuple[Suspect, SyncMark]]) -> bool:
-        """Suspects that lie where they were placed, alone there, are certain after all; whether all do."""
+        """Suspects that lie where they were placed, alone there, are certain after all; whether all do. None
+        is where stamps lie as far from their SYNCs as these from one another."""
         guesses = [suspect.guess for suspect in self._suspects]
-        stamped_ns = self.stamps.match_ns + self._residuals.spread
+        stamped_ns = self.stamps.near_ns
         proved = 0
         for suspect, mark in placed:
             delay = suspect.received_at - (mark.on_bus_at or 0)
             if not suspect.second:  # wherever it was placed meanwhile: one with its stamp is a copy
                 self._case.answer(mark, suspect.device_ns)
-            if suspect.guess == mark.sequence and guesses.count(suspect.guess) == 1:
+            alone = stamped_ns < 2 * self._half and guesses.count(suspect.guess) == 1
+            if alone and suspect.guess == mark.sequence:
                 late = max(self.stamps.match_ns, self._case.hidden_ns(delay))
                 row = suspect.guess, suspect.received_at, stamped_ns + late + self._case.unstamped_ns(delay)
                 if self.doubt.open:
@@ -260,7 +262,7 @@ class StampAttribution:
     ) -> Sample | None:
         """A reading that puts the question, or comes while it is open, on a SYNC that is ``free`` or not."""
         suspects = self._suspects
-        if any(suspect.device_ns == device_ns for suspect in suspects):
+        if any(suspect.is_copied_by(reading) for suspect in suspects):
             self.health.duplicates += 1
             return None
         reach_ns = self.stamps.near_ns - self.clock.error_ns
@@ -274,7 +276,7 @@ class StampAttribution:
             self._case.since = self._case.answered
             if self.spread:
                 self._revoke()
-        suspects.append(Suspect(device_ns, reading.received_at, known, early))
+        suspects.append(Suspect(device_ns, reading.received_at, known, early, reading.velocity_rad_s))
         if free is not None:
             self._slowest = max(self._slowest, reading.received_at - at)
         self.question.open = True
@@ -350,13 +352,7 @@ class StampAttribution:
         self._clear(all_proved and not (steps and self._case.revoked))
         (self._close if steps else self._acquit)()
         self._case.twice = 0
-        for suspect, mark in placed:
-            self._case.answer(mark, suspect.device_ns)
-            assert mark.on_bus_at is not None
-            residual = self.clock.place(suspect.device_ns) - mark.on_bus_at
-            latest = Instant(suspect.received_at - self._transit)
-            sampled_at = self.stamps.sampled_at(mark.on_bus_at, residual, latest)
-            self._case.delays.add(suspect.received_at - sampled_at)
+        self._case.learn(placed, others=steps and line.others)
 
     # ---- whole periods ------------------------------------------------------------------------------------
 

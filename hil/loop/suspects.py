@@ -1,7 +1,9 @@
 """Readings that put the question whether a drive's clock was set, and the lines on which they may lie."""
 
+import math
 from typing import Final, NamedTuple
 
+from servobench.drivers.exchange import Reading
 from servobench.drivers.timebase import Instant
 from servobench.hil.loop.syncs import SURPLUS, SyncMark
 
@@ -20,11 +22,17 @@ class Suspect:
     """A reading that came while it is open whether the clock was set."""
 
     def __init__(
-        self, device_ns: int, received_at: Instant, known: int | None = None, early: bool = False
+        self,
+        device_ns: int,
+        received_at: Instant,
+        known: int | None = None,
+        early: bool = False,
+        velocity_rad_s: float = math.nan,
     ) -> None:
         """``known``: the stamp of the SYNC on which it lies, if that has one already."""
         self.device_ns = device_ns
         self.received_at = received_at
+        self._velocity_rad_s = velocity_rad_s
         self.second = known is not None
         """True if it lies on a SYNC that has a reading already,"""
         self.repeats = known == device_ns
@@ -33,6 +41,10 @@ class Suspect:
         """True if it would have come before its SYNC if the clock was not set."""
         self.guess = SURPLUS
         """The cycle in which it was placed, uncertain."""
+
+    def is_copied_by(self, reading: Reading) -> bool:
+        """Return whether ``reading`` tells the same: a clock that is set back makes its stamps again."""
+        return reading.device_time_ns == self.device_ns and reading.velocity_rad_s == self._velocity_rad_s
 
 
 class Line(NamedTuple):
@@ -49,6 +61,8 @@ class Line(NamedTuple):
     """Logarithm of how much likelier no line would be, by how far they lie off it."""
     moved_by: int
     """By how much later than the map it has stamps, ns."""
+    others: bool
+    """True if the smallest delay has changed by so much that delays are others."""
 
     @property
     def first_at(self) -> Instant:

@@ -113,3 +113,21 @@ def test_the_first_suspects_show_what_delays_were_before_a_step() -> None:
     """A gateway's 2194 us, and 358 669 us of the clock four readings later, SYNCs 2001 us apart: one step by
     a period less explained the others, and not those four. 1104 rows of 3000, 69 commands."""
     assert verdict_of(460657, 420).readings.uncertain <= 100
+
+
+@pytest.mark.parametrize(
+    ("seed", "cycles", "unsure"),
+    [
+        pytest.param(461856, 700, 100, id="a step behind one that had met another delay"),
+        pytest.param(462010, 790, 360, id="the smallest delay on the line was less than none"),
+        pytest.param(461413, 905, 240, id="a clock set back twice made its stamps again"),
+        pytest.param(461697, 690, 560, id="stamps lay from their SYNCs as far as these from one another"),
+    ],
+)
+def test_a_step_is_told_by_delays_and_stamps_as_they_are(seed: int, cycles: int, unsure: int) -> None:
+    """The smallest delay of before was remembered, and "no step, 38 ms longer" seemed as likely as a step; a
+    reading was sampled, by its stamp, when its frame had begun; a second reading was a copy by its stamp
+    alone; and suspects were proved with bounds of 1.8 periods. 644, 35, 5 and 19 rows."""
+    verdict = judged(drawn_plan(seed), cycles)
+    assert verdict.readings.wrong == 0, verdict.examples
+    assert verdict.readings.uncertain <= unsure

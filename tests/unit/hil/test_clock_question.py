@@ -67,7 +67,7 @@ def test_a_line_is_of_marks_and_whether_it_steps() -> None:
     case = Case(3)
     case.case.since = 2
     (line,) = [each for each in case.case.lines(case.suspects(3)) if each.marks == (case.log.marks[2],)]
-    assert line == Line(0, 0, (case.log.marks[2],), False, 0.0, 0)
+    assert line == Line(0, 0, (case.log.marks[2],), False, 0.0, 0, False)
 
 
 @pytest.mark.parametrize(("step", "steps"), [(4_000, False), (10_000, True), (-10_000, True)])

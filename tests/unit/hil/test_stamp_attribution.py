@@ -7,7 +7,7 @@ import pytest
 from servobench.drivers.exchange import Reading
 from servobench.drivers.timebase import Instant
 from servobench.drivers.wire.frame_port import EchoBasis
-from servobench.hil.loop.clock_question import STAMPS_MAX
+from servobench.hil.loop.answered_syncs import STAMPS_MAX
 from servobench.hil.loop.drive_stamps import MATCH_NS
 from servobench.hil.loop.residuals import WATCHED
 from servobench.hil.loop.samples import Sample
