@@ -249,6 +249,8 @@ NOT_RUN = (
 )
 """Ends of the comments behind examples of ``--help`` that need what a bare machine has not."""
 
+WRITTEN_BY = ("--out", "--nameplate", "--export-eds", "--record", "new", "save")
+"""Words in front of a file that an example writes."""
 PANELS = [("Run", "Inspect", "Review"), ("Commission", "Design")]
 
 
@@ -265,9 +267,10 @@ def examples_of_help(command: Any, panels: tuple[str, ...]) -> list[str]:
 
 
 def first_of_help() -> list[str]:
-    """Return the examples of ``--help`` that those of every panel begin with: files, and runs recorded."""
-    recorded = (line for line in examples_of_help(program(), PANELS[0]) if "--record runs/" in line)
-    return ["hil init", "hil init --examples", *recorded]
+    """Return the examples that those of every panel begin with: files, runs recorded, a drive to speak to."""
+    lines = examples_of_help(program(), PANELS[0])
+    shared = [line for line in lines if "--record runs/" in line or line.startswith("hil simulate ")]
+    return ["hil init", "hil init --examples", *shared]
 
 
 @pytest.mark.parametrize("panels", PANELS, ids=lambda panels: panels[0])
@@ -279,9 +282,10 @@ def test_what_help_shows_read_is_what_init_or_an_example_before_it_has_written(
     for line in [*first_of_help(), *examples_of_help(program(), panels)]:
         words = line.partition(" #")[0].split()
         for before, word in pairwise(words):
-            if before in ("--out", "--nameplate", "--export-eds", "--record", "new", "save"):
+            started = words[-1] == "&" and word.startswith("hub:")
+            if started or before in WRITTEN_BY:
                 written.add(word)
-            elif word.startswith("runs/") or (
+            elif word.startswith(("runs/", "hub:")) or (
                 Path(word).suffix in (".toml", ".eds", ".dcf") and not word.startswith("examples/")
             ):
                 missing += [line] if word not in written else []
