@@ -46,7 +46,7 @@ def _designed_bench(controller: Path, loss: float) -> dict[str, Any]:
     return tables
 
 
-@pytest.mark.timeout(300)  # certificates over all sequences: a quarter of a minute of processor, and others beside it
+@pytest.mark.timeout(300)  # certificates over all sequences: half a minute of processor, longer beside others
 def test_from_measured_network_to_running_controller(tmp_path: Path) -> None:
     measured, controller = tmp_path / "measured", tmp_path / "k.toml"
     tables = read_toml(EXAMPLES / "network_measured.toml", "bench file")
