@@ -204,6 +204,9 @@ def test_a_host_that_is_gone_is_put_back_by_its_journal(tmp_path: Path, number: 
         process.kill()
         process.communicate(timeout=20)
         assert watching.memory() != before
+        again = run_command(command(bus, tmp_path, hil()))
+        assert again.returncode == 2, again.stderr
+        assert "hil restore" in again.stderr, "a journal that waits forbids another commissioning over it"
         done = restore(tmp_path)
         assert done.returncode == 0, done.stderr
         assert "byte for byte" in done.stderr
@@ -225,21 +228,6 @@ def test_a_command_that_is_gone_has_its_drive_stopped_by_its_parent(tmp_path: Pa
         watching.time_to_rest(watching.now(), 0.1, asking=True)
         assert restore(tmp_path).returncode == 0
         assert watching.memory() == before
-
-
-def test_a_journal_that_waits_forbids_another_commissioning_over_it(tmp_path: Path) -> None:
-    bus = hub_name("commission-again")
-    with simulated_drive(bus), witness(bus) as watching:
-        process = start(bus, tmp_path)
-        watching.until_turning()
-        at = watching.now()
-        process.kill()
-        process.communicate(timeout=20)
-        watching.time_to_rest(at, 1e-3 * TIMEOUT_MS + STOP_S + MARGIN_S, asking=True)
-        again = run_command(command(bus, tmp_path, hil()))
-        assert again.returncode == 2, again.stderr
-        assert "hil restore" in again.stderr
-        assert restore(tmp_path).returncode == 0
 
 
 def test_a_lost_bus_ends_it_and_names_what_puts_things_back(tmp_path: Path) -> None:

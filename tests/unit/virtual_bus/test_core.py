@@ -138,7 +138,7 @@ def said(folder: Path, *command: str) -> str:
 
 @pytest.mark.long
 def test_a_core_that_is_not_of_its_sources_is_refused(tmp_path: Path) -> None:
-    """As after an update of a checkout: no old core runs in silence."""
+    """As after an update of a checkout: no old core runs in silence. A shared header is a source of each."""
     if not COMPILERS:
         pytest.skip("no C compiler")
     copy_cores(tmp_path)
@@ -146,31 +146,23 @@ def test_a_core_that_is_not_of_its_sources_is_refused(tmp_path: Path) -> None:
         "-c",
         "from servobench.virtual_bus.core.native import wire_bits; print(wire_bits(0x601 << 4 | 2, b'ab'))",
     )
+    draws = ("-c", f"{RANDOM_RUN}print('fresh')")
     assert "make core" in said(tmp_path, *asks)
     assert said(tmp_path, "design/core/build.py") == ""
     first = said(tmp_path, *asks)
     assert first.isdigit()
-    with (tmp_path / "virtual_bus" / "core" / "motor.c").open("a") as source:
-        source.write("/* edited */\n")
+    assert said(tmp_path, *draws) == "fresh"
+    motor, header = tmp_path / "virtual_bus/core/motor.c", tmp_path / "design/core/stable_abi.h"
+    kept = motor.read_text()
+    motor.write_text(f"{kept}/* edited */\n")
     assert "'built from other sources', expected a fresh one: make core" in said(tmp_path, *asks)
+    motor.write_text(kept)
+    with header.open("a") as source:
+        source.write("/* edited */\n")
+    for words in (asks, draws):
+        assert "'built from other sources', expected a fresh one: make core" in said(tmp_path, *words)
     assert said(tmp_path, "design/core/build.py") == ""
     assert said(tmp_path, *asks) == first
-
-
-@pytest.mark.long
-def test_a_shared_header_is_a_source_of_every_core(tmp_path: Path) -> None:
-    if not COMPILERS:
-        pytest.skip("no C compiler")
-    copy_cores(tmp_path)
-    simulates = ("-c", "import servobench.virtual_bus.core; print('fresh')")
-    draws = ("-c", f"{RANDOM_RUN}print('fresh')")
-    assert "make core" in said(tmp_path, *draws)
-    assert said(tmp_path, "design/core/build.py") == ""
-    assert [said(tmp_path, *asks) for asks in (simulates, draws)] == ["fresh"] * 2
-    with (tmp_path / "design" / "core" / "stable_abi.h").open("a") as source:
-        source.write("/* edited */\n")
-    for asks in (simulates, draws):
-        assert "'built from other sources', expected a fresh one: make core" in said(tmp_path, *asks)
 
 
 @pytest.mark.long
