@@ -23,6 +23,7 @@ from servobench.hil.cli import app
 from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.configuration.motor_file import MotorFile
 from servobench.hil.loop.cycle_record import COLUMNS
+from servobench.hil.rows.differences import DIFFERENCES
 from servobench.hil.rows.records_file import PHASE_COLUMN
 from servobench.hil.verdict.metrics import LIMITED
 from servobench.virtual_bus.faults.register import TABLES
@@ -83,6 +84,7 @@ def columns_page() -> str:
     for column in (*COLUMNS, PHASE_COLUMN):
         names = column.codes if column is PHASE_COLUMN else map(" ".join, _numbered(column.codes))
         meaning = ": ".join(part for part in (column.meaning, ", ".join(names)) if part)
+        meaning += f"; in the file `{DIFFERENCES[column.name]}`" if column.name in DIFFERENCES else ""
         lines.append(f"| `{column.name}` | {column.kind} | {column.unit} | {meaning} |")
     plan = CampaignPlan.load(_ROOT / "examples/campaigns/ling2012.toml")
     lines += ["", "## runs of a campaign", ""]

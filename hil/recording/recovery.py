@@ -124,7 +124,7 @@ def _rewrite(path: Path, more: Sequence[Rows], zero: Instant) -> None:
     part = path.with_name(f"{path.name}.part")
     writer = RecordsWriter(part)
     try:
-        writer.begin(read_metadata(path), zero)
+        writer.begin(read_metadata(path), zero, path)
         writer.copy(path)  # as its seal has it
         for rows in more:
             writer.write(rows)

@@ -27,6 +27,7 @@ from servobench.hil.loop.cycle_record import NOTHING, Column
 from servobench.hil.reviewing.export_format import ExportFormat
 from servobench.hil.reviewing.frames_export import OF_FRAMES, export_frames
 from servobench.hil.rows.arrow_file import schema_of
+from servobench.hil.rows.differences import fields_for, whole_batch, whole_schema
 from servobench.hil.rows.faults_file import read_entries
 from servobench.hil.rows.records_file import (
     check_records,
@@ -59,7 +60,8 @@ class RecordedRows:
         refuse_without_end(self.path)
         self.seal = NOT_CHECKED if unsealed else check_seal(folder)
         with damage_told(self.path):
-            self.schema = self._open(None).schema
+            self._stored = self._open(None).schema
+            self.schema = whole_schema(self._stored)
             told = self.schema.metadata or {}
             self.metadata: Mapping[str, str] = {key.decode(): value.decode() for key, value in told.items()}
             refuse_later_format(self.metadata, self.path)
@@ -70,21 +72,21 @@ class RecordedRows:
 
     def chunks(self, names: Sequence[str] | None = None) -> Iterator[pa.Table]:
         """The rows in order, CHUNK_ROWS and a batch at a time at most; ``names``: of these columns alone."""
-        reader = self._open(names)
+        reader, chosen = self._open(names), list(names or self.schema.names)
         held: list[pa.RecordBatch] = []
         for number in range(reader.num_record_batches):
-            held.append(reader.get_batch(number))
+            held.append(whole_batch(reader.get_batch(number)).select(chosen))
             if sum(batch.num_rows for batch in held) >= CHUNK_ROWS:
                 yield pa.Table.from_batches(held).combine_chunks()
                 held = []
-        yield pa.Table.from_batches(held, reader.schema).combine_chunks()
+        schema = pa.schema([self.schema.field(name) for name in chosen], self.schema.metadata)
+        yield pa.Table.from_batches(held, schema).combine_chunks()
 
     def _open(self, names: Sequence[str] | None) -> pa.ipc.RecordBatchFileReader:
         try:
             if names is None:
                 return pa.ipc.open_file(pa.OSFile(str(self.path), "rb"))
-            places = [self.schema.get_field_index(name) for name in names]
-            options = pa.ipc.IpcReadOptions(included_fields=places)
+            options = pa.ipc.IpcReadOptions(included_fields=fields_for(self._stored, names))
             return pa.ipc.open_file(pa.OSFile(str(self.path), "rb"), options=options)
         except (pa.ArrowInvalid, OSError) as error:
             raise BadInput(str(self.path), "", str(error), "an Arrow IPC file") from None

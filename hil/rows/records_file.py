@@ -5,6 +5,9 @@ and the footer with their places at the end: before it the file is an IPC stream
 by which a truncated file is read, and finished (:func:`finish_records`).
 
 Instants are in run time, ns since the first cycle; unknown values are null.
+
+Columns that follow others closely are held as differences (:mod:`servobench.hil.rows.differences`); readers
+here give the columns themselves.
 """
 
 import json
@@ -21,6 +24,13 @@ from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import Instant
 from servobench.hil.loop.cycle_record import COLUMNS, FATE_SAMPLE, NAMES, NOTHING, Column
 from servobench.hil.rows.arrow_file import MAGIC, finish_file, is_whole, length_of_batch, values_of
+from servobench.hil.rows.differences import (
+    fields_for,
+    stored_batch,
+    stored_schema,
+    whole_batch,
+    whole_schema,
+)
 from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.hil.rows.run_files import FORMAT
 
@@ -68,23 +78,29 @@ class RecordsWriter:
         self._schema: pa.Schema | None = None
         self._writer: pa.RecordBatchFileWriter | None = None
         self._zero = Instant(0)
+        self._whole = False
 
-    def begin(self, metadata: Mapping[str, str], zero: Instant) -> None:
-        """Write the head. ``zero``: the first cycle on the bench clock. Error: OSError."""
+    def begin(self, metadata: Mapping[str, str], zero: Instant, like: Path | None = None) -> None:
+        """Write the head. ``zero``: the first cycle on the bench clock; ``like``: a file that will be copied,
+        which up to format 6 has the columns themselves. Error: OSError."""
         self._zero = zero
         self._schema = records_schema(metadata)
-        self._writer = pa.ipc.new_file(self._file, self._schema, options=_OPTIONS)
+        earlier = None if like is None else _schema_of(like)
+        self._whole = earlier is not None and earlier.names == self._schema.names
+        schema = self._schema if self._whole else stored_schema(self._schema)
+        self._writer = pa.ipc.new_file(self._file, schema, options=_OPTIONS)
         self.write(np.empty(0, ROW_DTYPE))  # nothing is on disk before the first batch
 
     def write(self, rows: Rows) -> None:
         """Append one batch: (n,) of ROW_DTYPE, on the bench clock. Error: OSError if the disk is full."""
         assert self._writer is not None
-        self._writer.write_batch(_batch(rows, self._schema, self._zero))
+        batch = _batch(rows, self._schema, self._zero)
+        self._writer.write_batch(batch if self._whole else stored_batch(batch))
 
     def copy(self, path: Path) -> None:
         """Append the whole batches of a file to the byte, after a head with its metadata. Error: OSError."""
         assert self._writer is not None
-        for batch in _batches(path):
+        for batch in _stored_batches(path):
             if batch.num_rows:  # the head has the empty one
                 self._writer.write_batch(batch)
 
@@ -138,7 +154,9 @@ def rows_of_table(table: pa.Table) -> Rows:
 
 def read_table(path: Path) -> pa.Table:
     """Read the whole batches of a file, with units and metadata; none from a file without a head."""
-    return pa.Table.from_batches(_batches(path), schema=_schema_of(path) or records_schema({}))
+    schema = _schema_of(path)
+    whole = records_schema({}) if schema is None else whole_schema(schema)
+    return pa.Table.from_batches(_batches(path), schema=whole)
 
 
 def read_metadata(path: Path) -> dict[str, str]:
@@ -159,7 +177,7 @@ def read_records(path: Path, first_cycle: int = 0, columns: Sequence[str] = NAME
     options = None
     if schema is not None:
         _check_schema(path, schema)
-        options = pa.ipc.IpcReadOptions(included_fields=[schema.get_field_index(name) for name in columns])
+        options = pa.ipc.IpcReadOptions(included_fields=fields_for(schema, columns))
     for batch in _batches(path, options):
         with damage_told(path):
             rows = _rows_of(batch, first_cycle, columns)
@@ -171,7 +189,7 @@ def read_some(path: Path, numbers: Iterable[int]) -> Iterator[Rows]:
     with damage_told(path), pa.OSFile(str(path), "rb") as source:
         reader = pa.ipc.open_file(source)
         for number in numbers:
-            yield _rows_of(reader.get_batch(number), 0)
+            yield _rows_of(whole_batch(reader.get_batch(number)), 0)
 
 
 def finish_records(path: Path) -> int:
@@ -179,7 +197,8 @@ def finish_records(path: Path) -> int:
 
     Incomplete batches are dropped. It needs room for the footer only. Error: OSError.
     """
-    finish_file(path, _schema_of(path) or records_schema({}), lambda: _batches(path), _OPTIONS)
+    schema = _schema_of(path) or stored_schema(records_schema({}))
+    finish_file(path, schema, lambda: _stored_batches(path), _OPTIONS)
     return sum(batch.num_rows for batch in _batches(path))
 
 
@@ -208,7 +227,15 @@ def _stream(
 
 
 def _batches(path: Path, options: pa.ipc.IpcReadOptions | None = None) -> Iterator[pa.RecordBatch]:
-    """Yield the whole batches. Raises BadInput for one that holds what no recording has."""
+    """Yield the whole batches with the columns themselves. Raises BadInput as for those of the file."""
+    for batch in _stored_batches(path, options):
+        with damage_told(path):
+            whole = whole_batch(batch)
+        yield whole
+
+
+def _stored_batches(path: Path, options: pa.ipc.IpcReadOptions | None = None) -> Iterator[pa.RecordBatch]:
+    """Yield the whole batches as they lie there. Raises BadInput for one that holds what no recording has."""
     number = 0
     with pa.OSFile(str(path), "rb") as source, pa.OSFile(str(path), "rb") as ahead:
         try:
@@ -243,11 +270,9 @@ def _next_length(messages: pa.ipc.MessageReader) -> int:
 
 def _check_schema(path: Path, schema: pa.Schema) -> None:
     """Raises BadInput for a column that is missing or of another type."""
+    kinds = {field.name: str(field.type) for field in whole_schema(schema)}
     for column in COLUMNS:
-        place = schema.get_field_index(column.name)
-        if place < 0 and column.name not in _ALWAYS:
-            continue
-        kind = "no such column" if place < 0 else str(schema.field(place).type)
+        kind = kinds.get(column.name, "no such column" if column.name in _ALWAYS else column.kind)
         if kind not in (column.kind, _ALIASES.get(column.kind)):
             raise BadInput(str(path), f"column {column.name}", kind, column.kind, _DAMAGED)
 
@@ -284,8 +309,8 @@ def check_records(path: Path) -> None:
     schema = _schema_of(path)
     if schema is not None:
         _check_schema(path, schema)
-        places = [schema.get_field_index(name) for name, _ in _codes(schema)]
-        for _ in _batches(path, pa.ipc.IpcReadOptions(included_fields=places)):
+        places = fields_for(schema, [name for name, _ in _codes(schema)])
+        for _ in _stored_batches(path, pa.ipc.IpcReadOptions(included_fields=places)):
             pass
 
 

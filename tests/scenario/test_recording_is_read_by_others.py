@@ -15,6 +15,7 @@ import pyarrow as pa
 import pytest
 
 from servobench.hil.loop.cycle_record import COLUMNS
+from servobench.hil.rows.differences import DIFFERENCES
 from servobench.hil.rows.records_file import PHASE_COLUMN, read_metadata
 from servobench.hil.rows.run_files import FORMAT, RECORDS_FILE
 from servobench.hil.testing.bench_runs import BenchRunner
@@ -70,10 +71,12 @@ def test_python_can_reads_every_frame_in_order_and_in_run_time(run: Run) -> None
 
 def test_pyarrow_reads_columns_nulls_and_what_the_run_was(run: Run) -> None:
     table = pa.ipc.open_file(run.folder / RECORDS_FILE).read_all()
-    assert table.column_names == [column.name for column in (*COLUMNS, PHASE_COLUMN)]
+    assert table.column_names == [
+        DIFFERENCES.get(column.name, column.name) for column in (*COLUMNS, PHASE_COLUMN)
+    ]
     assert table["phase"].unique().to_pylist() == ["run"]
     dropped = pa.compute.sum(pa.compute.not_equal(table["fate"], 0)).as_py()
-    assert dropped == table["sampled_at"].null_count == run.summary.dropouts.total > 0
+    assert dropped == table["sampled_at-sync_on_bus_at"].null_count == run.summary.dropouts.total > 0
     assert table["sequence"].to_pylist() == list(range(1, run.summary.cycles + 1))
     metadata = {key.decode(): value.decode() for key, value in table.schema.metadata.items()}
     assert metadata["format"] == FORMAT

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import pyarrow as pa
 import pytest
 
+from servobench.hil.rows.records_file import read_table
 from tests.scenario.processes import quiet_environment
 
 ROOT: Final = Path(__file__).parents[2]
@@ -117,8 +117,7 @@ class Copy:
         """The columns of a recorded run of a bench."""
         folder = self.folder / f"run-{Path(bench).stem}"
         self.hil("run", bench, "--record", str(folder))
-        with pa.ipc.open_file(folder / "records.arrow") as file:
-            table = file.read_all()
+        table = read_table(folder / "records.arrow")
         return {name: table[name].to_numpy(zero_copy_only=False) for name in table.column_names}
 
 

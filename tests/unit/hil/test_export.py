@@ -17,7 +17,7 @@ from servobench.hil.cli import app
 from servobench.hil.loop.cycle_record import COLUMNS
 from servobench.hil.reviewing.export import CHUNK_ROWS, RecordedRows
 from servobench.hil.rows.records import ROW_DTYPE
-from servobench.hil.rows.records_file import RecordsWriter
+from servobench.hil.rows.records_file import RecordsWriter, read_table
 from servobench.hil.rows.run_files import RECORDS_FILE
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
@@ -51,7 +51,7 @@ def export(run: Path, *arguments: str) -> Result:
 
 
 def table_of(run: Path) -> pa.Table:
-    return pa.ipc.open_file(run / RECORDS_FILE).read_all()
+    return read_table(run / RECORDS_FILE)
 
 
 def column(table: pa.Table, name: str) -> Any:
@@ -192,7 +192,7 @@ def test_what_cannot_be_exported_is_refused(run: Path, tmp_path: Path) -> None:
     later = table_of_bytes(whole).replace_schema_metadata({"format": "99"})
     with pa.ipc.new_file(run / RECORDS_FILE, later.schema) as sink:
         sink.write_table(later)
-    assert "a recording of format 6 or earlier" in refused()
+    assert "a recording of format 7 or earlier" in refused()
     (run / RECORDS_FILE).write_bytes(whole)
     assert "a place to write to" in refused("--out", str(tmp_path / "none" / "a.csv"))
     (run / RECORDS_FILE).unlink()

@@ -76,7 +76,7 @@ def test_nothing_is_null_and_no_number_stands_for_it(tmp_path: Path, rows: Rows)
     rows["torque_nm"][:2] = 1.0, np.nan
     path = tmp_path / "records.arrow"
     write(path, rows)
-    table = pa.ipc.open_file(path).read_all().slice(0, 2).to_pydict()
+    table = read_table(path).slice(0, 2).to_pydict()
     for name, known in {"delay_ns": -1, "statusword": 0x1637, "torque_told_at": -1, "torque_nm": 1.0}.items():
         assert table[name] == [known, None]
     whole = pa.ipc.open_file(path).read_all()
@@ -94,7 +94,57 @@ def test_units_and_codes_are_with_the_columns(tmp_path: Path, rows: Rows) -> Non
     assert schema.field("velocity_rad_s").metadata[b"unit"] == b"rad/s"
     assert schema.field("due_at").metadata[b"unit"] == b"ns since the first cycle"
     assert all(field.metadata[b"meaning"] for field in schema)
-    assert read_metadata(path) == {"format": "6", "bench": "synthetic"}
+    assert read_metadata(path) == {"format": FORMAT, "bench": "synthetic"}
+
+
+def test_columns_that_follow_others_are_held_as_differences_called_so(tmp_path: Path, rows: Rows) -> None:
+    """Nulls in the one or the other and differences beyond 64 bits come back to the bit."""
+    rows = rows.copy()
+    rows["woke_at"][3] = NOTHING
+    rows["device_time_ns"][4:6] = 2**63 - 1, -(2**63) + 2
+    rows["estimate_position_rad"][5:9] = -0.0, np.nan, 1e300, np.inf
+    rows["position_rad"][5:9] = 0.0, 1.0, -1e-300, np.nan
+    path = tmp_path / "records.arrow"
+    write(path, rows)
+    assert np.concatenate(list(read_records(path, ZERO))).tobytes() == rows.tobytes()
+    stored, whole = pa.ipc.open_file(path).read_all(), read_table(path)
+    assert "woke_at" not in stored.column_names
+    for name, (first, *others) in {
+        "woke_at-due_at": ("woke_at", "due_at"),
+        "received_at-sampled_at-delay_ns": ("received_at", "sampled_at", "delay_ns"),
+    }.items():
+        assert stored.field(name).metadata[b"unit"] == b"ns"
+        expected = [
+            None if known is None else known - sum(other or 0 for other in of)
+            for known, *of in zip(*(whole[each].to_pylist() for each in (first, *others)), strict=True)
+        ]
+        assert stored[name].to_pylist() == expected
+    same = [each.as_py() for each in stored["estimate_velocity_rad_s^velocity_rad_s"]]
+    bits = [rows[name].view(np.int64) for name in ("estimate_velocity_rad_s", "velocity_rad_s")]
+    both = ~np.isnan(rows["estimate_velocity_rad_s"]) & ~np.isnan(rows["velocity_rad_s"])
+    assert np.array(same, object)[both].tolist() == (bits[0] ^ bits[1])[both].tolist()
+    some = np.concatenate(list(read_records(path, ZERO, ("fate", "command_expires_at"))))
+    assert some["command_expires_at"].tolist() == rows["command_expires_at"].tolist()
+
+
+def test_one_up_to_format_6_has_the_columns_themselves_and_is_read_and_finished(
+    tmp_path: Path, rows: Rows
+) -> None:
+    path, earlier = tmp_path / "records.arrow", tmp_path / "earlier.arrow"
+    write(path, rows)
+    with pa.ipc.new_file(earlier, read_table(path).schema) as writer:
+        for batch in read_table(path).to_batches():
+            writer.write_batch(batch)
+    assert "woke_at" in pa.ipc.open_file(earlier).schema.names
+    assert np.concatenate(list(read_records(earlier, ZERO))).tobytes() == rows.tobytes()
+    again = tmp_path / "again.arrow"
+    longer = RecordsWriter(again)
+    longer.begin({}, ZERO, earlier)
+    longer.copy(earlier)
+    longer.write(rows[:7])
+    longer.close()
+    expected = np.concatenate([rows, rows[:7]]).tobytes()
+    assert np.concatenate(list(read_records(again, ZERO))).tobytes() == expected
 
 
 @pytest.mark.parametrize("whole_blocks", [0, 1, 2, 3])
@@ -109,7 +159,7 @@ def test_one_that_was_cut_off_is_finished(tmp_path: Path, rows: Rows, whole_bloc
     assert finish_records(path) == 100 * whole_blocks
     assert pa.ipc.open_file(path).read_all().num_rows == 100 * whole_blocks
     assert b"".join(batch.tobytes() for batch in read_records(path, ZERO)) == expected
-    assert read_metadata(path) == {"format": "6", "bench": "synthetic"}
+    assert read_metadata(path) == {"format": FORMAT, "bench": "synthetic"}
     assert [found.name for found in tmp_path.iterdir()] == ["records.arrow"]
 
 
@@ -134,6 +184,7 @@ def test_one_of_an_earlier_format_lacks_what_was_not_recorded_then(tmp_path: Pat
     assert (found["compute_ns"] == NOTHING).all()
     assert np.isnan(found["channel_0"]).all()
     assert found["due_at"].tolist() == rows["due_at"].tolist()
+    assert found["command_acts_by"].tolist() == rows["command_acts_by"].tolist()
 
 
 def test_a_whole_one_is_left_as_it_is(tmp_path: Path, rows: Rows) -> None:
@@ -198,8 +249,8 @@ def test_a_field_tells_all_of_its_column() -> None:
         (None, False),
         ("1", False),
         ("2", False),
-        ("6", False),
-        ("7", True),
+        (FORMAT, False),
+        (str(int(FORMAT) + 1), True),
         ("", True),
         ("2.0", True),
         ("²", True),
@@ -213,7 +264,7 @@ def test_a_later_format_is_refused_by_those_who_read_earlier_ones(told: str | No
     with pytest.raises(BadInput) as caught:
         refuse_later_format(metadata, Path("run"))
     assert str(caught.value) == (
-        f"run: format: found {told!r}, expected a recording of format 6 or earlier; "
+        f"run: format: found {told!r}, expected a recording of format {FORMAT} or earlier; "
         "read it with the servobench that wrote it, or later"
     )
 

@@ -47,8 +47,8 @@ def test_a_folder_without_frames_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_later_format_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match="expected a recording of format 6 or earlier"):
-        RecordedBus(recorded(tmp_path, *LINES, format="7"))
+    with pytest.raises(BadInput, match="expected a recording of format 7 or earlier"):
+        RecordedBus(recorded(tmp_path, *LINES, format="8"))
     assert RecordedBus(recorded(tmp_path, *LINES, format="4")).notes == []
 
 

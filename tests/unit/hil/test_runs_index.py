@@ -16,7 +16,7 @@ from servobench.drivers.timebase import Instant
 from servobench.hil.cli import app
 from servobench.hil.recording.sealer import Sealer
 from servobench.hil.rows.records_file import RecordsWriter
-from servobench.hil.rows.run_files import RECORDS_FILE
+from servobench.hil.rows.run_files import FORMAT, RECORDS_FILE
 from servobench.hil.verdict.verdict import VerdictKind
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
@@ -166,7 +166,7 @@ def test_damaged_files_are_told_and_stop_nothing(lab: Path) -> None:
 
 
 def test_a_later_format_is_told_by_its_number_and_an_earlier_one_is_read(lab: Path) -> None:
-    for name, number in (("c", "1"), ("b", "7")):
+    for name, number in (("c", "1"), ("b", str(int(FORMAT) + 1))):
         path = lab / name / RECORDS_FILE
         table = pa.ipc.open_file(path).read_all()
         changed = table.replace_schema_metadata({**table.schema.metadata, b"format": number.encode()})
@@ -179,7 +179,7 @@ def test_a_later_format_is_told_by_its_number_and_an_earlier_one_is_read(lab: Pa
     found = listed(str(lab))
     assert [run["state"] for run in found] == ["whole", "whole", "later format"]
     assert found[0]["seal"] == "unsealed: recorded by an older version"
-    assert found[2]["note"] == "format 7: expected a recording of format 6 or earlier"
+    assert found[2]["note"] == f"format {int(FORMAT) + 1}: expected a recording of format {FORMAT} or earlier"
 
 
 def test_a_run_in_simulated_time_has_the_time_of_its_bench_file(lab: Path) -> None:

@@ -18,6 +18,7 @@ from servobench.hil.reviewing.histogram import round_width
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
 from servobench.hil.rows.records import Rows
+from servobench.hil.rows.run_files import FORMAT
 from servobench.hil.rows.side_rows import BeginEvent, IdentityEvent, RunEvent, StateEvent, TextEvent
 from servobench.hil.verdict.metrics import VerdictLimits
 from servobench.hil.verdict.plain_values import from_plain
@@ -389,4 +390,4 @@ def test_what_the_run_was_is_a_property_of_the_recording(tmp_path: Path) -> None
     }
     assert found["drives"] == '{"axis1": "a drive of the lab"}'
     assert found["seed"] == "2012"
-    assert found["format"] == "6"
+    assert found["format"] == FORMAT
