@@ -47,6 +47,7 @@ from servobench.hil.campaign.sweep_file import (
     Vary,
     sweep_from,
 )
+from servobench.hil.campaign.twins import TwinMembers
 from servobench.hil.configuration.bench_file import Bench
 from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.verdict.arguments import checked
@@ -248,6 +249,10 @@ class CampaignPlan:
         tables = read_toml(path, "bench file", NamedBy(str(source), "campaign.bench", sweep.campaign.bench))
         self.bench = Bench(tables, source=str(path), folder=path.parent).changed(sweep.change)
         refuse_real_time(self.bench.config, str(path))
+        self._twins = tuple(
+            TwinMembers(source.parent / twin.file, NamedBy(str(source), f"twin.{place}.file", twin.file))
+            for place, twin in enumerate(sweep.twin)
+        )
         adaptive = sweep.adaptive
         self.rounds = None if adaptive is None else Rounds(adaptive, self._even, sweep.drawing.seed)
         """Rounds of adaptive draws; to be given the rows in order."""
@@ -287,10 +292,15 @@ class CampaignPlan:
         for axis, place in zip(self.axes, self._points[point], strict=True):
             changes |= axis.choices[place]
             labels[axis.title] = axis.labels[place] if axis.numbers is None else axis.numbers[place]
-        for each, even in zip(self.sweep.draw, drawn.even, strict=True):
-            value = _spread(each, even)
+        evens = iter(drawn.even)
+        for each in self.sweep.draw:
+            value = _spread(each, next(evens))
             changes[each.key] = round(value) if each.whole else value
             labels[each.key] = float(changes[each.key])
+        for twin, members in zip(self.sweep.twin, self._twins, strict=True):
+            normal = _normal(np.array([next(evens) for _ in members.names]))
+            changes[twin.key], values = members.member(normal.tolist())
+            labels |= {f"{twin.key}.{name}": value for name, value in values.items()}
         return PlannedRun(number, point, replicate, seed, changes, labels, drawn.weight, drawn.counts)
 
     @checked
@@ -329,7 +339,8 @@ class CampaignPlan:
     @cached_property
     def _even(self) -> NDArray[np.float64]:
         """(replicates, keys) in [0, 1), before their distributions."""
-        drawing, keys, count = self.sweep.drawing, len(self.sweep.draw), self.sweep.campaign.seeds
+        drawing, count = self.sweep.drawing, self.sweep.campaign.seeds
+        keys = len(self.sweep.draw) + sum(len(members.names) for members in self._twins)
         if not keys:
             return np.empty((count, 0))
         stream = np.random.default_rng(drawing.seed)

@@ -97,8 +97,15 @@ class Draw(Section):
         return self
 
 
+class DrawnTwin(Section):
+    """``[[twin]]``: a motor that is drawn from what a fit has found."""
+
+    key: Key
+    file: str = Field(min_length=1, description="the path of a twin of hil fit, from the sweep file on")
+
+
 class Drawing(Section):
-    """``[drawing]``: how the keys of ``[[draw]]`` are drawn together."""
+    """``[drawing]``: how what is drawn is drawn together."""
 
     method: Literal["random", "latin_hypercube", "sobol"] = "random"
     seed: int = Field(default=0, ge=0, lt=2**63)
@@ -141,6 +148,7 @@ class SweepFile(Section):
     """Dotted keys of the bench and their values, the same in every run."""
     vary: Annotated[tuple[Vary, ...], Field(strict=False)] = ()
     draw: Annotated[tuple[Draw, ...], Field(strict=False)] = ()
+    twin: Annotated[tuple[DrawnTwin, ...], Field(strict=False)] = ()
     drawing: Drawing = Drawing()
     stop: Stop = Stop()
     adaptive: Adaptive | None = None
@@ -151,10 +159,14 @@ def sweep_from(tables: Any, source: str) -> SweepFile:
     """Make a sweep from the tables of a file. Raises BadInput or BadInputs."""
     sweep = validated(SweepFile, tables, source)
     varied = [key for axis in sweep.vary for key in (axis.keys or (axis.key or "",))]
-    varied += [draw.key for draw in sweep.draw]
+    varied += [draw.key for draw in sweep.draw] + [twin.key for twin in sweep.twin]
     for number, key in enumerate(varied):
         if key in varied[:number]:
             raise BadInput(source, "vary", key, "each key once")
+    for twin in sweep.twin:
+        for key in (*varied, *sweep.change):
+            if key.startswith(f"{twin.key}."):
+                raise BadInput(source, "twin.key", twin.key, f"a motor of which nothing else is set: {key}")
     if "bench.seed" in (*varied, *sweep.change):
         raise BadInput(source, "vary", "bench.seed", "campaign.seeds and campaign.first_seed for the seeds")
     _check_drawing(sweep, source)
@@ -174,8 +186,8 @@ def _check_drawing(sweep: SweepFile, source: str) -> None:
 
 
 def _check_adaptive(sweep: SweepFile, source: str) -> None:
-    if not sweep.draw or sweep.vary:
-        expected = "tables [[draw]] and none [[vary]] beside [adaptive]: it is over what is drawn"
+    if not (sweep.draw or sweep.twin) or sweep.vary:
+        expected = "tables [[draw]] or [[twin]] and none [[vary]] beside [adaptive]: it is over what is drawn"
         raise BadInput(source, "vary" if sweep.vary else "draw", len(sweep.vary or sweep.draw), expected)
     assert sweep.adaptive is not None
     if (least := 2 * sweep.adaptive.round_runs) > sweep.campaign.seeds:

@@ -13,7 +13,7 @@ from servobench.hil.campaign.campaign import Enough
 from servobench.hil.campaign.plan import CampaignPlan
 from servobench.hil.campaign.statistics import anytime
 from servobench.hil.campaign.sweep_file import sweep_from
-from servobench.hil.configuration.config_files import BadInputs
+from servobench.hil.configuration.config_files import BadInputs, toml_text
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
 
 LING = Path(__file__).parents[3] / "examples" / "ling2012.toml"
@@ -30,6 +30,17 @@ INERTIA: dict[str, Any] = {
     "low": 0.0004,
     "high": 0.0016,
 }
+
+
+MOTOR = LING.parent / "motors" / "ling2012.toml"
+SHAFT = "drive.axis1.simulation.motor"
+FITTED: dict[str, tuple[float, float]] = {
+    "mechanics.inertia_kg_m2": (8e-4, 1e-5),
+    "mechanics.coulomb_friction_nm": (0.02, 0.001),
+    "load.hanging_nm": (0.1, 0.01),
+    "twin.speed_filter_hz": (500.0, 20.0),
+}
+"""Value and standard uncertainty of a twin's keys."""
 
 
 def tables(**more: Any) -> dict[str, Any]:
@@ -180,3 +191,67 @@ def test_the_examples_can_be_run(name: str) -> None:
     found = CampaignPlan.load(LING.parent / "campaigns" / name)
     assert found.count >= 150
     assert found.bench.changed(found.run(found.known - 1).changes).config.axes == ("axis1",)
+
+
+def written_twin(folder: Path, together: float) -> Path:
+    """Write a twin whose inertia and weight are correlated by ``together``."""
+    apart = np.array([uncertainty for _, uncertainty in FITTED.values()])
+    shares = np.eye(len(apart))
+    shares[0, 2] = shares[2, 0] = together
+    keys = [
+        {"name": name, "value": value, "uncertainty": 2.0 * uncertainty, "source": "fitted"}
+        for name, (value, uncertainty) in FITTED.items()
+    ]
+    viscous = {"name": "mechanics.viscous_friction_nm_s", "value": 0.0001, "source": "not determined"}
+    twin = {
+        "structure": "rigid",
+        "dead_time_us": 100.0,
+        "speed_filter_hz": 500.0,
+        "torque_unit_nm": 0.001,
+        "window_s": 0.2,
+        "speed_rpm": [-1000.0, 1000.0],
+        "torque_nm": [-1.0, 1.0],
+        "band_hz": [1.0, 100.0],
+        "left": [0.1, 0.001, 0.001],
+        "left_bands": [0.01],
+        "covariance": (shares * np.outer(apart, apart)).tolist(),
+        "key": [viscous, *keys],
+        "recording": [{"digest": "0", "bench": "one", "windows": 50, "left_out": 0}],
+    }
+    path = folder / "twin.toml"
+    path.write_text(MOTOR.read_text("utf-8") + "\n" + toml_text({"twin": twin}), "utf-8")
+    return path
+
+
+def test_members_of_a_twin_have_its_means_and_its_covariance(tmp_path: Path) -> None:
+    path = written_twin(tmp_path, 0.8)
+    drawing = {"method": "sobol", "seed": 3}
+    made = plan(
+        draw=[INERTIA],
+        twin=[{"key": SHAFT, "file": str(path)}],
+        drawing=drawing,
+        campaign={"seeds": 1024},
+    )
+    names = list(FITTED)[:3]
+    runs = [made.run(number) for number in range(1024)]
+    values = np.array([[each.labels[f"{SHAFT}.{name}"] for name in names] for each in runs])
+    means, apart = (np.array(column) for column in zip(*(FITTED[name] for name in names), strict=True))
+    assert values.mean(axis=0) == pytest.approx(means, abs=float(0.01 * apart.max()), rel=1e-3)
+    assert values.std(axis=0) == pytest.approx(apart, rel=0.02)
+    assert np.corrcoef(values.T) == pytest.approx(np.array([[1, 0, 0.8], [0, 1, 0], [0.8, 0, 1]]), abs=0.03)
+    motors = [made.bench.changed(each.changes).config.drive["axis1"].simulation.motor for each in runs[:3]]
+    for motor, row in zip(motors, values, strict=False):
+        assert motor is not None
+        assert motor.load is not None
+        assert (motor.mechanics.inertia_kg_m2, motor.load.hanging_nm) == (row[0], row[2])
+        assert motor.mechanics.coulomb_friction_nm == row[1]
+    assert "twin.speed_filter_hz" not in " ".join(runs[0].labels)
+
+
+@pytest.mark.parametrize("key", [SHAFT, INERTIA["key"]])
+def test_a_motor_without_a_fit_has_no_members_and_a_key_is_drawn_once(key: str, tmp_path: Path) -> None:
+    twin = MOTOR if key == SHAFT else written_twin(tmp_path, 0.0)
+    with pytest.raises(BadInput, match="a twin of hil fit" if key == SHAFT else "each key once"):
+        plan(draw=[INERTIA], twin=[{"key": key, "file": str(twin)}])
+    with pytest.raises(BadInput, match="a motor of which nothing else is set"):
+        plan(draw=[INERTIA], twin=[{"key": "drive.axis1.motor", "file": str(twin)}])
