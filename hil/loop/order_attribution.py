@@ -9,7 +9,7 @@ from servobench.hil.loop.order_memory import UNTIDY_FOR, Copies, SampleDelays, S
 from servobench.hil.loop.order_question import ASK_AGAIN_AFTER, STRAYS_MAX, OrderQuestion
 from servobench.hil.loop.samples import Sample
 from servobench.hil.loop.syncs import REMEMBERED, STAMPED_LATE, SURPLUS, SyncLog, SyncMark
-from servobench.hil.loop.usual_delays import FIRST, UsualDelays, middle_of
+from servobench.hil.loop.usual_delays import UsualDelays, middle_of
 
 
 class OrderAttribution:
@@ -138,7 +138,7 @@ class OrderAttribution:
             self._ask(self._usual.middle)
             self._beyond = self._in_question.wants_probe = False
         for one in self._kept_order.proved:
-            self._delays.add(one.delay)
+            self._delays.take(one.delay)
             if one.heeded:
                 self.question.prove(one.mark.sequence, one.received_at, self._error_of(one.delay))
         self.question.open = True
@@ -246,7 +246,7 @@ class OrderAttribution:
         error_ns = self._error_of(delay)
         certain = certain and not self._syncs.may_hide(mark, reading.received_at)
         if certain:
-            self._delays.add(delay)
+            self._delays.take(delay)
             self._usual.add(delay)
             health.error_ns_max = max(health.error_ns_max, error_ns)
             if delay < self._transit - self._echo_error:
@@ -256,7 +256,7 @@ class OrderAttribution:
         return Sample(mark.sequence, reading, on_bus_at, error_ns, certain)
 
     def _error_of(self, delay: int) -> int:
-        return self._delays.error_of(delay, first=self.health.placed <= FIRST)
+        return self._delays.error_of(delay)
 
     def _stray(self, reading: Reading, copy: bool) -> Sample | None:
         """A reading of another delay than is usual, placed where a SYNC has none yet if there is one."""

@@ -10,7 +10,7 @@ from servobench.hil.loop.drive_stamps import DriveStamps
 from servobench.hil.loop.order_question import STRAYS_MAX
 from servobench.hil.loop.residuals import DelayExtremes
 from servobench.hil.loop.syncs import REMEMBERED, STAMPED_LATE, SyncLog, SyncMark
-from servobench.hil.loop.usual_delays import UsualDelays
+from servobench.hil.loop.usual_delays import FIRST, UsualDelays
 
 COPIES: Final = 8
 """The last readings, of which another may be a copy."""
@@ -113,12 +113,23 @@ class SampleDelays(DelayExtremes):
         super().__init__()
         self._period, self._transit = period, transit
         self._echo_error, self._echoes_late = syncs.error_ns, syncs.basis in STAMPED_LATE
+        self._first: list[int] = []
+        """The first of a run."""
 
-    def error_of(self, delay: int, *, first: bool) -> int:
-        """How far the sample of a reading may lie from its SYNC; ``first``: of those of a run."""
+    def take(self, delay: int) -> None:
+        """One of a run. With the first ones those of a calibration are let go of: they are of a quiet bus, so
+        alike that they say the least one is known."""
+        self.add(delay)
+        if len(self._first) < FIRST:
+            self._first.append(delay)
+            if len(self._first) == FIRST:
+                self.begin(self._first)
+
+    def error_of(self, delay: int) -> int:
+        """How far the sample of a reading may lie from its SYNC."""
         if self._echoes_late:  # and by how much is in no single delay, as readings are stamped late too
             return self._echo_error + max(delay, self.high) - self.low + self.unseen(self._transit)
-        if first:
+        if len(self._first) < FIRST:
             late = max(delay - self.low, min(delay - self._transit, self._period // 2))
             return self._echo_error + late
         return self._echo_error + self.late(delay, self._transit)
