@@ -138,10 +138,21 @@ class Object(IntEnum):
     INTERPOLATION_DATA_RECORD = 0x60C1
     """Sub 1: the set-point of interpolated position, user position unit."""
     INTERPOLATION_TIME_PERIOD = 0x60C2
+    TOUCH_PROBE_FUNCTION = 0x60B8
+    TOUCH_PROBE_STATUS = 0x60B9
+    TOUCH_PROBE_1_POSITIVE_EDGE = 0x60BA
+    TOUCH_PROBE_1_NEGATIVE_EDGE = 0x60BB
+    TOUCH_PROBE_2_POSITIVE_EDGE = 0x60BC
+    TOUCH_PROBE_2_NEGATIVE_EDGE = 0x60BD
+    """User position unit, as the three above."""
     MAX_ACCELERATION = 0x60C5
     MAX_DECELERATION = 0x60C6
+    POSITIVE_TORQUE_LIMIT = 0x60E0
+    NEGATIVE_TORQUE_LIMIT = 0x60E1
+    """Per thousand of 0x6076, as the one above."""
     SUPPORTED_HOMING_METHODS = 0x60E3
     """Sub 1 and on: one method each."""
+    POSITIONING_OPTION_CODE = 0x60F2
     FOLLOWING_ERROR_ACTUAL_VALUE = 0x60F4
     POSITION_DEMAND_INTERNAL_VALUE = 0x60FC
     """Encoder increments."""

@@ -167,7 +167,7 @@ static double sample(InnerLoops *self)
 }
 
 /* Torque demand of the speed loop: ramped reference with inertia feed-forward, PI without wind-up. */
-static double speed_loop(InnerLoops *self, double limit_nm)
+static double speed_loop(InnerLoops *self, double least_nm, double most_nm)
 {
     const LoopParameters *p = &self->loop;
     const Demand *demand = &self->demand;
@@ -179,7 +179,7 @@ static double speed_loop(InnerLoops *self, double limit_nm)
     double error = state->speed_demand_rad_s - state->speed_measured_rad_s;
     double proportional = p->speed_gain * error + self->believed.inertia_kg_m2 * change * self->motor.rate_hz;
     double torque = proportional + state->speed_integral_nm + demand->torque_feed_nm;
-    double limited = within(torque, -limit_nm, limit_nm);
+    double limited = within(torque, least_nm, most_nm);
     if (torque != limited)
         state->limited = 1.0;
     else
@@ -204,20 +204,22 @@ static double torque_demand(InnerLoops *self)
     const Demand *demand = &self->demand;
     LoopState *state = &self->state;
     double current = current_limit(self);
-    double limit = demand->torque_max_nm;
-    if (!self->field.active)
-        limit = least(limit, self->motor.torque_constant_nm_a * current);
+    double up = demand->torque_up_nm, down = demand->torque_down_nm;
+    if (!self->field.active) {
+        up = least(up, self->motor.torque_constant_nm_a * current);
+        down = least(down, self->motor.torque_constant_nm_a * current);
+    }
     if (demand->control == CONTROL_SPEED) {
         if (state->control != CONTROL_SPEED) {
             state->speed_demand_rad_s = state->speed_measured_rad_s;
-            state->speed_integral_nm = within(state->torque_demand_nm, -limit, limit);
+            state->speed_integral_nm = within(state->torque_demand_nm, -down, up);
             state->rest_ticks = 0.0;
         }
-        return speed_loop(self, limit);
+        return speed_loop(self, -down, up);
     }
-    double up = self->loop.speed_limit_gain * (demand->speed_max_rad_s - state->speed_measured_rad_s);
-    double down = -self->loop.speed_limit_gain * (demand->speed_max_rad_s + state->speed_measured_rad_s);
-    return within(within(demand->torque_nm, down, up), -limit, limit);
+    double faster = self->loop.speed_limit_gain * (demand->speed_max_rad_s - state->speed_measured_rad_s);
+    double slower = -self->loop.speed_limit_gain * (demand->speed_max_rad_s + state->speed_measured_rad_s);
+    return within(within(demand->torque_nm, slower, faster), -down, up);
 }
 
 /* The voltage of one axis before decoupling: PI, or the controller's. */

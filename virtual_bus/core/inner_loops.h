@@ -68,7 +68,8 @@ typedef struct LoopState {
 
 typedef struct Demand {
     int control;
-    double torque_nm, torque_max_nm, current_max_a;
+    double torque_nm, current_max_a;
+    double torque_up_nm, torque_down_nm; /* most of either sign, both at least 0 */
     double speed_rad_s, acceleration_rad_s2, speed_max_rad_s;
     double load_nm;
     double torque_feed_nm; /* added to what the speed loop asks for */

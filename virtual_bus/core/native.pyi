@@ -335,7 +335,9 @@ class InnerLoops:
 
     # ---- demand ----
     wanted_control: int
-    torque_max_nm: float
+    torque_up_nm: float
+    torque_down_nm: float
+    """Most of either sign."""
     current_max_a: float
     speed_max_rad_s: float
     load_nm: float

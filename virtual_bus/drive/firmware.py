@@ -323,10 +323,14 @@ class Firmware:
         """Torque set-point for ``InnerControl.TORQUE``."""
         self._demand_torque(torque_nm)
 
-    def limit(self, torque_nm: float, current_a: float, speed_rad_s: float) -> None:
-        """The limits of whatever is demanded; the current's is the peak of the drive's overload at most."""
+    def limit(
+        self, torque_nm: float, current_a: float, speed_rad_s: float, down_nm: float | None = None
+    ) -> None:
+        """The limits of whatever is demanded; the current's is the peak of the drive's overload at most.
+        ``down_nm``: that of negative torque; None: the same."""
         inner = self.inner
-        inner.torque_max_nm = torque_nm
+        inner.torque_up_nm = torque_nm
+        inner.torque_down_nm = torque_nm if down_nm is None else down_nm
         inner.current_max_a = min(current_a, peak_current_a(self.motor, self.parameters.protection))
         inner.speed_max_rad_s = speed_rad_s
         inner.asked = 1

@@ -9,6 +9,7 @@
     2110h:8   safe torque off: 1 takes the torque away
     2110h:9   end stops: how often one was hit, where the motor file has them
     2110h:10  speed at the last hit, mrad/s
+    2110h:11  touch probe inputs, bits 0 and 1
 
 Encoder counts are those since power-on, whatever the units and the home of the drive are. Fitted at first are
 the switches of the motor file. All of it belongs to the machine: a reset of the node leaves it as it is.
@@ -24,8 +25,10 @@ from servobench.design.mechanism import Mechanism, Switches
 from servobench.drivers.canopen.objects301 import DataType
 from servobench.drivers.cia402.objects402 import INTERLOCK, Object
 from servobench.virtual_bus.core.native import InnerLoops, clipped
-from servobench.virtual_bus.device.object_dictionary import Access, ObjectDictionary
+from servobench.virtual_bus.device.object_dictionary import Access, DictionaryObject, ObjectDictionary
 from servobench.virtual_bus.drive.homing_methods import Sensor, SwitchEdge
+from servobench.virtual_bus.drive.touch_probe import TouchProbes
+from servobench.virtual_bus.drive.user_units import UserUnits
 
 MACHINE: Final = 0x2110
 """Manufacturer-specific."""
@@ -44,8 +47,10 @@ class SimulatedMachine:
         counts_per_revolution: int,
         inner: InnerLoops,
         mechanism: Mechanism | None,
+        units: UserUnits,
     ) -> None:
-        """``inner``: tells where the encoder stands; ``mechanism``: that of the motor, with its switches."""
+        """``inner``: tells where the encoder stands; ``mechanism``: that of the motor, with its switches;
+        ``units``: those of captured positions."""
         self.held = 0
         self.fitted = 0
         self.sto = False
@@ -61,7 +66,8 @@ class SimulatedMachine:
         self.changed: Callable[[], None] = lambda: None
         """Called after every write of an input or a switch."""
         self.inputs.provider = self.input_bits
-        self._add_objects(dictionary, inner.end_stops != 0)
+        record = self._add_objects(dictionary, inner.end_stops != 0)
+        TouchProbes(dictionary, record, inner, units, self.next_index)
 
     # ---- what the drive sees --------------------------------------------------------------------------
 
@@ -131,7 +137,7 @@ class SimulatedMachine:
 
     # ---- objects --------------------------------------------------------------------------------------
 
-    def _add_objects(self, dictionary: ObjectDictionary, stops: bool) -> None:
+    def _add_objects(self, dictionary: ObjectDictionary, stops: bool) -> DictionaryObject:
         record = dictionary.add_record(MACHINE, "Simulated machine")
 
         def add(
@@ -161,6 +167,7 @@ class SimulatedMachine:
             tells = partial(record.add, access=Access.READ_ONLY, mappable=True, stored=False)
             tells(9, "End stops hit", DataType.UNSIGNED32, provider=lambda: int(self._inner.stop_hits))
             tells(10, "Speed at the last hit", DataType.INTEGER32, provider=self._hit_speed)
+        return record
 
     def _hit_speed(self) -> int:
         """mrad/s."""

@@ -33,7 +33,7 @@ from typing import Final
 from servobench.drivers.cia402.profile import CHANGE_AT_ONCE, NEW_SET_POINT, RELATIVE, Control, Status
 from servobench.virtual_bus.drive.axis import SimulatedAxis, WindowTimer
 from servobench.virtual_bus.drive.operation_mode import HaltedMode
-from servobench.virtual_bus.drive.servo_objects import NO_WINDOW
+from servobench.virtual_bus.drive.servo_objects import NO_WINDOW, RelativeOption
 from servobench.virtual_bus.drive.trajectory import MoveLimits, plan_move, plan_speed, plan_stop
 
 CHANGE_ON_SET_POINT: Final = 1 << 9
@@ -126,12 +126,22 @@ class ProfilePosition(HaltedMode):
         units, position = axis.units, axis.motion.target_position.value
         axis.limited = False
         if controlword & RELATIVE:
-            position += units.position_of(self._last_target)
-            target = units.nearest_count_of(axis.cut_target(position), self._last_target)
+            origin = self._origin()
+            position += units.position_of(origin)
+            target = units.nearest_count_of(axis.cut_target(position), origin)
         else:
             target = units.count_of(axis.cut_target(position), axis.count)
         limits = axis.move_limits()
         return PositionTarget(target, limits, axis.limited)
+
+    def _origin(self) -> float:
+        """Return where a relative move counts from, by 60F2h; encoder counts."""
+        option = self.axis.motion.relative.value
+        if option == RelativeOption.ACTUAL:
+            return self.axis.count
+        if option == RelativeOption.DEMAND:
+            return self._profile.at(self._elapsed_s).position
+        return self._last_target
 
     def _busy(self) -> bool:
         return self._under_way is not None and not self._reached

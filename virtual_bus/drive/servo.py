@@ -80,21 +80,20 @@ class ServoApplication(Application):
 
     def attach(self, services: DeviceServices) -> None:
         self._services = services
-        dictionary = services.dictionary
+        dictionary, inner = services.dictionary, self.firmware.inner
         self.objects = objects = ServoObjects(dictionary, self.motor, self.drive, frozenset(MODES))
         motion = MotionObjects(dictionary, self.motor, self.drive)
         self.power = PowerStateMachine(objects.option, self.drive.brake_waits, self._slow)
-        self.brake = HoldingBrake(dictionary, self.firmware.inner, self.drive)
-        self._failures = Failures(services, objects.error_code, self.firmware.inner)
+        self.brake = HoldingBrake(dictionary, inner, self.drive)
+        self._failures = Failures(services, objects.error_code, inner)
         counts = self.drive.encoder_counts_per_revolution
         makers = self.drive.makers_units
         self.units = UserUnits(dictionary, counts, lambda: self._motion is MotorAction.OFF, makers)
-        self.machine = SimulatedMachine(dictionary, counts, self.firmware.inner, self.motor.mechanism)
+        self.machine = SimulatedMachine(dictionary, counts, inner, self.motor.mechanism, self.units)
         self.axis = SimulatedAxis(self.firmware, objects, motion, self.units, self.machine, self.fail)
         self._modes: dict[int, OperationMode] = {int(mode): make(self.axis) for mode, make in MODES.items()}
         self._mode = self._modes[objects.mode.default]
         self._actual = ActualValues(self.firmware, objects, self.units)
-        inner = self.firmware.inner
         self._cycle = self.cycle = cycle = CyclicDrive(
             inner, objects.statusword, self._run_mode, self._stop_on, self._tell_protection
         )
@@ -109,7 +108,7 @@ class ServoApplication(Application):
             variable.on_write = lambda _value: self._mode.take_velocity()
         for variable in (motion.target_position, motion.position_offset):
             variable.on_write = lambda _value: self._mode.take_position()
-        for variable in (objects.max_torque, objects.max_current, objects.max_motor_speed):
+        for variable in (*objects.torque_limits, objects.max_current, objects.max_motor_speed):
             variable.on_write = lambda _value: self._take_limits()
         for variable in (objects.rated_torque, objects.rated_current):
             variable.check, variable.on_write = self.units.check_state, lambda _value: self._take_rating()
@@ -119,7 +118,7 @@ class ServoApplication(Application):
         self.units.changed = self._actual.take_units
         self.machine.changed = self._on_inputs
         actual_values.provide_slow_values(self.axis)
-        needed = objects.max_torque, objects.max_current, motion.following_window, motion.vl_most
+        needed = *objects.torque_limits, objects.max_current, motion.following_window, motion.vl_most
         self._own_defaults = [(variable, variable.default) for variable in needed]
         take_away(dictionary, self.drive.lacks)
 
@@ -273,11 +272,9 @@ class ServoApplication(Application):
 
     def _take_limits(self) -> None:
         objects, motor = self.objects, self.motor
-        self.firmware.limit(
-            min(objects.max_torque.value * objects.torque_unit_nm, self.firmware.torque_max_nm),
-            min(objects.max_current.value * objects.current_unit_a, motor.current_max_a),
-            objects.max_motor_speed.value * RAD_S_PER_RPM,
-        )
+        up_nm, down_nm = objects.torque_limits_nm(self.firmware.torque_max_nm)
+        current_a = min(objects.max_current.value * objects.current_unit_a, motor.current_max_a)
+        self.firmware.limit(up_nm, current_a, objects.max_motor_speed.value * RAD_S_PER_RPM, down_nm)
 
     def _take_rating(self) -> None:
         self.axis.take_rating()

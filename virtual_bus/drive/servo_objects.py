@@ -78,6 +78,18 @@ class ServoObjects:
         return int(self._dictionary.variable(index).value)
 
     @property
+    def torque_limits(self) -> tuple[Variable, Variable, Variable]:
+        """6072h, 60E0h and 60E1h."""
+        return self.max_torque, self.torque_up, self.torque_down
+
+    def torque_limits_nm(self, most_nm: float) -> tuple[float, float]:
+        """Largest positive and negative torque by 6072h, 60E0h and 60E1h (CiA 402-2), both at least 0.
+        ``most_nm``: that of the motor."""
+        most, up, down = (int(each.value) for each in self.torque_limits)
+        unit_nm = self.torque_unit_nm
+        return min(min(most, up) * unit_nm, most_nm), min(min(most, down) * unit_nm, most_nm)
+
+    @property
     def torque_unit_nm(self) -> float:
         """A thousandth of 6076h, which a vendor's dictionary may set."""
         return float(self.rated_torque.value) * 1e-6
@@ -127,6 +139,8 @@ class ServoObjects:
     def _add_limits(self, motor: PmsmParameters, drive: DriveParameters) -> None:
         torque = _per_thousand(motor.torque_max_nm / motor.rated_torque_nm)
         self.max_torque = self._add(Object.MAX_TORQUE, U16, RW, default=torque, high=torque)
+        self.torque_up = self._add(Object.POSITIVE_TORQUE_LIMIT, U16, RW, default=PER_THOUSAND_MAX)
+        self.torque_down = self._add(Object.NEGATIVE_TORQUE_LIMIT, U16, RW, default=PER_THOUSAND_MAX)
         current = _per_thousand(motor.current_max_a / motor.rated_current_a)
         self.max_current = self._add(Object.MAX_CURRENT, U16, RW, default=current, high=current)
         speed = math.floor(drive.speed_limit_rad_s(motor) / RAD_S_PER_RPM + 1e-6)
@@ -225,6 +239,14 @@ _VELOCITY_THRESHOLD_MRPM: Final = 10_000
 """Defaults of a delivered drive: 0.7 degrees, and 20 and 10 rpm, above the steps of an encoder's counts."""
 
 
+class RelativeOption(IntEnum):
+    """Bits 0 and 1 of 60F2h: what a relative move counts from; the option's other bits are 0 here."""
+
+    LAST_TARGET = 0
+    DEMAND = 1
+    ACTUAL = 2
+
+
 class VelocityRamp:
     """One of 6048h, 6049h and 604Ah: a change of speed, and the time that it takes."""
 
@@ -295,6 +317,8 @@ class MotionObjects:
         self.deceleration = self._add(Object.PROFILE_DECELERATION, _U32, slow_down, 1)
         self.quick_stop = self._add(Object.QUICK_STOP_DECELERATION, _U32, quick, 1)
         self._add(Object.MOTION_PROFILE_TYPE, _I16, check=one_of((LINEAR_RAMP,)))
+        relative = one_of(RelativeOption)
+        self.relative = self._add(Object.POSITIONING_OPTION_CODE, _U16, check=relative)
         self.torque_slope = self._add(Object.TORQUE_SLOPE, _U32, 1000, 1)
         self._add(Object.TORQUE_PROFILE_TYPE, _I16, check=one_of((LINEAR_RAMP,)))
         self.max_acceleration = self._add(Object.MAX_ACCELERATION, _U32, UNLIMITED, 1)

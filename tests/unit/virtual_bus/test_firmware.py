@@ -256,7 +256,7 @@ def test_the_torque_demand_told_is_the_one_in_force(steps: list[tuple[float, flo
 def in_force(firmware: Firmware, asked_nm: float) -> float:
     """Cut in front of the speed limit, then at the torque and current limits."""
     inner = firmware.inner
-    most_nm = min(inner.torque_max_nm, inner.torque_constant_nm_a * inner.current_max_a)
+    most_nm = min(inner.torque_up_nm, inner.torque_constant_nm_a * inner.current_max_a)
     up = inner.speed_limit_gain * (inner.speed_max_rad_s - inner.speed_measured_rad_s)
     down = -inner.speed_limit_gain * (inner.speed_max_rad_s + inner.speed_measured_rad_s)
     return min(max(min(max(asked_nm, down), up), -most_nm), most_nm)
