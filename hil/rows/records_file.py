@@ -185,11 +185,17 @@ def read_records(path: Path, first_cycle: int = 0, columns: Sequence[str] = NAME
 
 
 def read_some(path: Path, numbers: Iterable[int]) -> Iterator[Rows]:
-    """As :func:`read_records`, the batches of these numbers alone, from 0 on, of a file that is whole."""
+    """As :func:`read_records`, the batches of these numbers alone, from 0 on, of a file that is whole.
+
+    Raises BadInput for one that holds what no recording has.
+    """
     with damage_told(path), pa.OSFile(str(path), "rb") as source:
         reader = pa.ipc.open_file(source)
         for number in numbers:
-            yield _rows_of(whole_batch(reader.get_batch(number)), 0)
+            batch = reader.get_batch(number)
+            batch.validate(full=True)
+            _check_values(path, f"batch {number + 1}", batch)
+            yield _rows_of(whole_batch(batch), 0)
 
 
 def finish_records(path: Path) -> int:

@@ -26,6 +26,7 @@ READERS: dict[str, Callable[[Path], list[str]]] = {
     "review": lambda run: ["review", str(run)],
     "compare": lambda run: ["compare", str(run), str(run)],
     "export": lambda run: ["export", str(run), "--to", "csv", "--out", str(run / "out.csv")],
+    "why": lambda run: ["why", str(run)],
     "picture": lambda run: ["picture", str(run), str(run / "out.svg"), "--paper"],
 }
 
@@ -84,6 +85,8 @@ def test_what_stands_for_nothing_is_refused_by_every_reader(run: Path, tmp_path:
     change, told = CASES[case]
     copy = damaged(run, tmp_path, change)
     for name, arguments in READERS.items():
+        if (name, case) == ("why", "a fate of commands"):
+            continue  # it reads that column of the cycles around a breach alone
         ended = CliRunner().invoke(app, [*arguments(copy), "--unsealed"])
         assert ended.exit_code == 2, (name, ended.output)
         assert f"{copy / 'records.arrow'}: " in ended.output, name

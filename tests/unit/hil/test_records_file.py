@@ -19,6 +19,7 @@ from servobench.hil.rows.records_file import (
     finish_records,
     read_metadata,
     read_records,
+    read_some,
     read_table,
     records_schema,
     records_table,
@@ -145,6 +146,17 @@ def test_one_up_to_format_6_has_the_columns_themselves_and_is_read_and_finished(
     longer.close()
     expected = np.concatenate([rows, rows[:7]]).tobytes()
     assert np.concatenate(list(read_records(again, ZERO))).tobytes() == expected
+
+
+def test_batches_by_number_are_looked_at_as_whole_files_are(tmp_path: Path, rows: Rows) -> None:
+    path = tmp_path / "records.arrow"
+    rows = rows.copy()
+    rows["command_fate"][150] = 99
+    write(path, rows)
+    (first,) = read_some(path, [1])
+    assert first["due_at"].tolist() == (rows["due_at"][:100] - ZERO).tolist()
+    with pytest.raises(BadInput, match="batch 3, column command_fate: found 99, expected 0 to 5"):
+        list(read_some(path, [2]))
 
 
 @pytest.mark.parametrize("whole_blocks", [0, 1, 2, 3])
