@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from servobench.drivers.rotation import RAD_S_PER_RPM
-from servobench.drivers.timebase import duration_s
+from servobench.drivers.timebase import NS_PER_US, duration_s
 from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.configuration.config_axis import DriveConfig
 from servobench.hil.configuration.references import Load, Reference, SignalFile
@@ -167,6 +167,7 @@ def _observed_drives(config: BenchConfig) -> dict[str, ObservedDrive]:
                 ObservedSignal(each.key, each.entry.code, each.title, each.told_unit, each.factor)
                 for each in drive.observe
             ),
+            drive.observe_every_cycles * config.loop.period_us * NS_PER_US,
         )
         for axis, drive in sorted(config.drive.items())
         if drive.observe

@@ -47,6 +47,9 @@ class _Drive:
         self.segment = drive.segment
         self._root, self._node = root, drive.node
         self._signals = {each.object: each for each in drive.signals}
+        self._every_ns = drive.every_ns
+        self._last_at: dict[str, int] = {}
+        """Of each signal the instant of the frame that told it last."""
         self._words: dict[int, dict[int, int]] = {}
         """By the number of a TPDO, its mapping words by their sub-index."""
 
@@ -61,7 +64,19 @@ class _Drive:
                 whole = told.compress(told["length"] >= first + size)
                 raw = np.ascontiguousarray(whole["data"][:, first : first + size])
                 values = raw.view(np.dtype(signal.code).newbyteorder("<"))[:, 0]
-                yield self._root + signal.path, whole["at"], signal.factor * values.astype(float)
+                yield self._interrupted(
+                    self._root + signal.path, whole["at"], signal.factor * values.astype(float)
+                )
+
+    def _interrupted(self, path: str, times: NDArray[np.int64], values: NDArray[np.float64]) -> Signal:
+        """Put no number where a frame did not come: no line crosses a gap."""
+        if not times.size or not self._every_ns:
+            return path, times, values
+        before = np.append(self._last_at.get(path, times[0]), times[:-1])
+        self._last_at[path] = int(times[-1])
+        gaps = np.flatnonzero(2 * (times - before) > 3 * self._every_ns)
+        missed = times[gaps] - self._every_ns
+        return path, np.insert(times, gaps, missed), np.insert(values, gaps, np.nan)
 
     def _learn(self, answer: NDArray[np.uint8]) -> None:
         number = int.from_bytes(answer[1:3].tobytes(), "little") - PdoDirection.TRANSMIT.mapping_base + 1

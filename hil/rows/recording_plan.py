@@ -129,6 +129,8 @@ class ObservedDrive(NamedTuple):
     segment: int
     """Its number; 0: the first one."""
     signals: tuple[ObservedSignal, ...]
+    every_ns: int = 0
+    """Time from one frame of a TPDO to the next; 0: not known."""
 
 
 class PlannedSetPoint(NamedTuple):

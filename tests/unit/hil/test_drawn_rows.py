@@ -185,6 +185,15 @@ def test_blocks_are_joined_and_a_mapping_holds_from_the_frames_that_come_with_it
     assert found["/axis1/observed/2030h_1"] == ([2, 4], pytest.approx([1.0, 2.0]))
 
 
+def test_no_line_crosses_a_gap_where_frames_did_not_come() -> None:
+    told = ObservedFrames({"axis1": ObservedDrive(3, 0, (TEMPERATURE,), every_ns=100)})
+    told.take(frames(*MAPPING, pdo(10, 1, 1000), pdo(10, 1, 1149), pdo(20, 1, 1300)))
+    told.take(frames(pdo(30, 1, 1900)))
+    ((_, times, values),) = told.drain()
+    assert times.tolist() == [1000, 1149, 1200, 1300, 1800, 1900]
+    assert values.tolist() == pytest.approx([1.0, 1.0, np.nan, 2.0, np.nan, 3.0], nan_ok=True)
+
+
 def test_a_frame_that_is_too_short_for_a_signal_tells_the_others() -> None:
     found = observed(frames(*MAPPING, frame(0x483, struct.pack("<Hhh", 0x627, 30, 0), 7)))
     assert found["/axis1/observed/2030h_1"] == ([7], pytest.approx([3.0]))

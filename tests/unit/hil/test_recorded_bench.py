@@ -162,7 +162,7 @@ def test_objects_for_the_recording_alone_are_named_by_drive_and_segment() -> Non
     ]
     config = bench_from(raw, "bench.toml", EXAMPLES)
     assert plan_of(config).observed == {
-        "feed": ObservedDrive(2, 1, (ObservedSignal((0x2101, 1), "h", "current d", "A", 0.01),))
+        "feed": ObservedDrive(2, 1, (ObservedSignal((0x2101, 1), "h", "current d", "A", 0.01),), 1_000_000)
     }
 
 
