@@ -127,14 +127,6 @@ def test_a_rehearsed_drive_brings_its_own_nameplate(
     assert (status, figures) == (0, as_json(request, command.result))
 
 
-def test_a_nameplate_that_is_given_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    command = Command(monkeypatch)
-    plate = Nameplate.model_validate({"rating": {"torque_nm": 7.0}})
-    command.run(plate_given=True, nameplate=plate)
-    request = command.asked[0][0]
-    assert (request.nameplate, request.trust_nameplate, request.eds) == (plate, False, None)
-
-
 def test_a_drive_by_its_data_sheet_is_commissioned_with_that_sheet(monkeypatch: pytest.MonkeyPatch) -> None:
     for given in (None, SHEET):
         command = Command(monkeypatch)
@@ -142,18 +134,6 @@ def test_a_drive_by_its_data_sheet_is_commissioned_with_that_sheet(monkeypatch: 
         request, *_, sheet = command.asked[0]
         assert request.eds == SHEET
         assert sheet.dictionary is not None
-
-
-def test_repairs_of_a_data_sheet_are_told(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for repairs, told in ((["one", "two"], ["x.eds: 2 repairs, see hil eds"]), ([], [])):
-        sheet = SimpleNamespace(repairs=repairs)
-        monkeypatch.setattr(module, "load_dictionary", lambda _path, _node, loaded=sheet: loaded)
-        command = Command(monkeypatch)
-        command.run(plate_given=True, eds=Path("x.eds"))
-        assert command.asked[0][-1] is sheet
-        assert capsys.readouterr().err.splitlines()[:-1] == told
 
 
 def record(verdict: StepVerdict, *faults: str) -> StepRecord:

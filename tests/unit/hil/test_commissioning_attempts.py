@@ -22,7 +22,7 @@ from servobench.hil.commissioning import session as module
 from servobench.hil.commissioning.exercise import EnergyMeter
 from servobench.hil.commissioning.findings import Findings, StepFailed, StepOutcome
 from servobench.hil.commissioning.request import CommissionRequest, cautious
-from servobench.hil.commissioning.session import PERIODS_US, Session
+from servobench.hil.commissioning.session import Session
 from tests.unit.hil.simulated_shaft import LIMITS, Objects
 
 CST = Mode.CYCLIC_SYNCHRONOUS_TORQUE
@@ -158,18 +158,6 @@ def test_a_drive_that_fell_out_of_its_setting_is_set_up_again(monkeypatch: pytes
     assert len(bench.settings) == 1
 
 
-def test_after_an_attempt_that_failed_the_drive_is_set_up_again_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = Bench(monkeypatch).configured()
-    failure = StepFailed("it went wrong")
-    assert bench.session.end_attempt(failure) is failure
-    bench.session.begin_attempt()
-    assert bench.notes == ["gaps", "armed {} 1000000"]
-    bench.session.begin_attempt()
-    assert bench.session.end_attempt(None) is None
-    bench.session.begin_attempt()
-    assert len(bench.settings) == 1
-
-
 def test_the_host_s_own_silence_is_why_an_attempt_failed(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch)
     cause = PeerFault("the host stood still")
@@ -245,16 +233,6 @@ def test_a_drive_that_turns_out_to_be_unwatched_is_set_up_again_with_less(
     assert bench.session.limits == less
     bench.session.configure()
     assert len(bench.settings) == 3
-
-
-@pytest.mark.parametrize("bitrate", [1_000_000, 500_000, 250_000, 125_000])
-def test_the_period_is_the_shortest_that_leaves_three_tenths_of_the_bus(
-    monkeypatch: pytest.MonkeyPatch, bitrate: int
-) -> None:
-    bench = Bench(monkeypatch, bitrate_bit_s=bitrate)
-    loads = {us: load_of(bench.plan, us, bitrate) for us in PERIODS_US}
-    shortest = min(us for us, load in loads.items() if load <= 70.0)
-    assert bench.session.choose_period(CST) == (shortest * NS_PER_US, loads[shortest])
 
 
 def load_of(plan: PdoPlan, period_us: int, bitrate: int) -> float:

@@ -24,7 +24,7 @@ from servobench.hil.commissioning.request import Nameplate
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_current import TorqueConstant, _paired, _plan_with_current, _swing
 from servobench.hil.loop.scenario import Quantity
-from tests.unit.hil.simulated_shaft import LIMITS, PERIOD_S, RATED_NM, Objects, Shaft, session_of, shaft_of
+from tests.unit.hil.simulated_shaft import LIMITS, PERIOD_S, RATED_NM, Shaft, session_of, shaft_of
 
 TRUTH = shaft_of(2e-3, 2e-3, 0.05)
 NM_A: Final = 0.5
@@ -210,16 +210,6 @@ def test_a_swing_of_2_hz_or_as_quick_as_four_tenths_of_the_speed_need(inertia: f
     assert [at for at, _ in readings[:2]] == [Instant(NS_PER_MS), Instant(2 * NS_PER_MS)]
 
 
-def test_torques_are_taken_as_the_drive_counts_them() -> None:
-    """6078h beside them is raw, while the bench turns the sign of the torque."""
-    session = commissioned()
-    session.overridden(torque_sign=-1.0)
-    cast(Any, session).network.link.tap(lambda *_told: None)
-    turned = _swing(session)
-    session.overridden(torque_sign=1.0)
-    assert [(at, -torque) for at, torque in turned] == _swing(session)
-
-
 def pairs(count: int) -> tuple[list[tuple[Instant, float]], list[tuple[Instant, int]]]:
     readings = [(Instant(10 * k), 0.5 * k) for k in range(count + 2)]
     currents = [(Instant(10 * k), -k) for k in range(1, count + 1)]
@@ -284,14 +274,6 @@ def test_all_that_is_said_of_a_torque_constant() -> None:
     assert cast(Any, session).pictures == ["torque_constant"]
 
 
-def test_a_current_that_counts_against_the_torque_is_a_fault() -> None:
-    session = commissioned()
-    outcome = judged(-0.45 * AMPERES, session=session)
-    assert outcome.faults == ["current 6078h and torque 6077h have opposite signs"]
-    assert outcome.figures["torque_constant_nm_a"] == pytest.approx(-0.45)
-    assert session.found.torque_constant_nm_a == pytest.approx(0.45)
-
-
 def test_a_current_of_2_percent_of_its_rating_is_enough() -> None:
     for permille, enough in ((10.0, True), (9.99, False)):
         swing = permille * np.sign(SWING)
@@ -352,23 +334,9 @@ def test_a_plate_that_is_contradicted_by_more_than_a_tenth_is_a_fault(nm_a: floa
     assert outcome.figures["nameplate_nm_a"] == 0.5
 
 
-@pytest.mark.parametrize("rating", [{"torque_nm": 2.0}, {"current_a": 4.0}])
-def test_half_a_plate_contradicts_nothing(rating: dict[str, float]) -> None:
-    outcome = judged(5.0 * AMPERES, session=commissioned(rating=rating))
-    assert (outcome.faults, len(outcome.lines), "nameplate_nm_a" in outcome.figures) == ([], 1, False)
-
-
 def test_the_constant_that_the_maker_tells_is_held_against_it() -> None:
     figure = ToldFigure("torque_constant_nm_a", 0.5, 500, "2000h:01", "x.toml", "rms")
     session = commissioned()
     session.found.motor = ToldMotor({"torque_constant_nm_a": figure})
     assert judged(-0.5 * AMPERES, session=session).figures["told_nm_a"] == 0.5
     assert len(judged(0.6 * AMPERES, session=session).faults) == 1
-
-
-def test_a_maker_whose_rating_is_told_goes_before_6075h() -> None:
-    objects = Objects()
-    figure = ToldFigure("rated_current_a", 2.0, 2000, "2000h:02", "x.toml", "rms")
-    session = commissioned(Metered(TRUTH, objects))
-    session.found.motor = ToldMotor({"rated_current_a": figure})
-    assert judged(0.45 * AMPERES, session=session).figures["torque_constant_nm_a"] == pytest.approx(0.9)

@@ -92,18 +92,6 @@ def test_noise_of_the_speed_makes_at_most_a_twentieth_of_the_rated_torque() -> N
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("reading_us", "period_us"), [(400.0, 1000), (449.0, 1000), (451.0, 2000), (1400.0, 4000)]
-)
-def test_the_period_is_the_shortest_in_which_the_reading_is_there_and_the_command_has_gone(
-    reading_us: float, period_us: int
-) -> None:
-    outcome, _ = suggested(reading_us=reading_us)
-    assert 1.25 * (reading_us + 0.5 * EFFECT_US) <= period_us
-    assert outcome.figures["period_us"] == period_us
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
     ("rating", "speed_rpm", "share"),
     [
         (PlateRating(), 2.0 * 100.0 * 30.0 / math.pi, 2.0),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from servobench.drivers.timebase import NS_PER_MS, Duration
-from servobench.hil.commissioning.excitation import FrequencyResponse, StepLag
+from servobench.hil.commissioning.excitation import FrequencyResponse
 from servobench.hil.commissioning.exercise import Recording
 from servobench.hil.commissioning.findings import ReadingsLost, StatedFigure, StepFailed, StepOutcome
 from servobench.hil.commissioning.identify import Array, Mechanics
@@ -17,7 +17,6 @@ from servobench.hil.commissioning.steps_design import Verify, rounded
 from servobench.hil.commissioning.steps_dynamics import (
     Delays,
     Response,
-    _bandwidth_hz,
     _judge_response,
     _keep_readings,
     _roomy,
@@ -113,20 +112,6 @@ def test_all_that_is_said_of_a_response() -> None:
     }
 
 
-@pytest.mark.parametrize(("ratio", "agrees"), [(0.799, False), (0.801, True), (1.249, True), (1.251, False)])
-def test_response_and_ramps_may_differ_by_a_fifth(ratio: float, agrees: bool) -> None:
-    factor, coherence = np.full(6, 1.0 / ratio), np.ones(6)
-    if agrees:
-        assert judged(factor, coherence).figures["inertia_ratio"] == pytest.approx(ratio)
-        return
-    with pytest.raises(StepFailed) as caught:
-        judged(factor, coherence)
-    assert (caught.value.summary, caught.value.evidence) == (
-        "response and ramps disagree on the inertia",
-        f"ratio {ratio:.3f}",
-    )
-
-
 def test_a_speed_that_does_not_follow_in_the_middle_fails() -> None:
     coherence: Array = np.array([1.0, 0.8, 0.8, 0.8, 1.0, 1.0])
     with pytest.raises(StepFailed) as caught:
@@ -136,29 +121,6 @@ def test_a_speed_that_does_not_follow_in_the_middle_fails() -> None:
 
 
 # ---- delays ----------------------------------------------------------------------------------------------
-
-
-def test_what_is_kept_of_the_readings() -> None:
-    """1000 readings of 1 to 1000 us: percentiles on straight lines between them."""
-    session, outcome = known(), StepOutcome()
-    readings: Array = np.arange(1.0, 1001.0)[::-1]
-    _keep_readings(session, outcome, readings, (3, 0, 2), 9, 1009, 250.5, 4)
-    network = session.found.network
-    assert network is not None
-    assert network.reading_delay_us is not None
-    percentiles = dict(network.reading_delay_us)
-    assert percentiles == pytest.approx({"p50": 500.5, "p99": 990.01, "p999": 999.001, "max": 1000.0})
-    assert (network.period_us, network.cycles, network.lost) == (1000, 1009, 9)
-    assert (network.losses_in_a_row, network.losses_in_a_row_max) == ((3, 0, 2), 3)
-    assert network.delay_max_us == 1251, "rounded up"
-    assert network.command_losses_in_a_row_max == 1
-    assert network.loss_percent == pytest.approx(900.0 / 1009.0)
-    assert session.found.reading_delay_us == 500.5
-    assert outcome.quantities == [
-        StatedFigure("delay of a reading", 500.5, "us"),
-        StatedFigure("readings lost", 900.0 / 1009.0, "%"),
-    ]
-    assert outcome.lines == ["readings arrive 500 us after the SYNC, 99 % within 990 us; 9 of 1009 were lost"]
 
 
 def test_without_losses_none_are_in_a_row() -> None:
@@ -179,14 +141,6 @@ def test_the_whole_delay_ends_in_the_middle_of_a_period() -> None:
     found.reading_delay_us = found.effect_delay_us = None
     found.period = Duration(4 * NS_PER_MS)
     assert total_delay_s(session) == pytest.approx(2e-3)
-
-
-@pytest.mark.parametrize(("in_drive_us", "told"), [(200.0, True), (20.1, True), (19.9, False)])
-def test_a_current_loop_that_is_too_fast_is_not_told(in_drive_us: float, told: bool) -> None:
-    session = known()
-    mean_us = in_drive_us + session.timing().command_latency / 1e3
-    found = _bandwidth_hz(session, StepLag(0.0, 0.0, 0.0, mean_us))
-    assert found == (pytest.approx(1e6 / (math.tau * in_drive_us)) if told else None)
 
 
 class AtRest(Shaft):

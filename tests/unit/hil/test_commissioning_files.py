@@ -26,7 +26,6 @@ from servobench.hil.commissioning.files import (
     set_objects,
     write_files,
 )
-from servobench.hil.commissioning.findings import Stated
 from servobench.hil.commissioning.identify import Mechanics
 from servobench.hil.commissioning.session import Session
 from servobench.hil.configuration.bench_file import load_bench
@@ -47,7 +46,6 @@ IDENTITY = Identity("a drive", 7, 8, 1, 9, 0)
 MECHANICS = Mechanics(1e-3, 2e-3, 0.05, 0.01, 0.0, 0.0, 0.0, 99, 0.001)
 CONTROLLER = {"kind": "pid", "proportional_nm_s_rad": 0.25, "integral_nm_rad": 4.0}
 PLATE: dict[str, Any] = {"motor": {"name": "M1"}}
-WORD = "by the nameplate"
 RESTS = "Each figure in N m or kg m^2 rests on the rated torque of 6076h, 1.6 N m, which nothing measured."
 
 
@@ -150,63 +148,6 @@ def test_a_motor_of_which_nothing_else_is_known_stands_in() -> None:
             "dc_bus_voltage_v": pytest.approx(2.0 * math.sqrt(3.0) * flux * 3000.0 * RAD_S_PER_RPM),
         },
     }
-
-
-def test_a_motor_of_which_all_is_known_is_that_one() -> None:
-    made = session(
-        {
-            "motor": {"name": "M2"},
-            "rating": {"speed_rpm": 2500.0, "current_max_a": 12.0, "dc_bus_voltage_v": 310.0},
-        }
-    )
-    found = made.found
-    found.torque_constant_nm_a, found.torque_lag_us = 0.6, 200.0
-    found.stated = {
-        "pole_pairs": Stated(4.0, WORD),
-        "resistance_ohm": Stated(0.5, WORD),
-        "inductance_d_h": Stated(1e-3, WORD),
-        "inductance_q_h": Stated(2e-3, "told by the drive", told=True),
-    }
-    cast(Any, made).mechanics = Mechanics(1e-3, -1e-4, -0.01, 0.0, 0.0, 0.0, 0.0, 9, 0.0)
-    text = _motor_text(made)
-    assert text.splitlines()[0] == (
-        "# Inertia, friction and torque constant are measured; they include the load on the shaft. "
-        f"{RESTS} "
-        "Not measurable over CiA 402, by the nameplate: resistance, pole pairs. "
-        "Not measured: inductance, told by the drive."
-    )
-    tables = tomllib.loads(text)
-    assert tables["motor"] == {
-        "name": "M2",
-        "resistance_ohm": 0.5,
-        "inductance_d_h": 1e-3,
-        "inductance_q_h": 2e-3,
-        "flux_linkage_wb": pytest.approx(0.6 / math.sqrt(2.0) / 6.0),
-        "pole_pairs": 4,
-        "transform": "amplitude_invariant",
-    }
-    assert tables["mechanics"] == {
-        "inertia_kg_m2": 1e-3,
-        "viscous_friction_nm_s": 0.0,
-        "coulomb_friction_nm": 0.0,
-    }
-    assert tables["rating"] == {
-        "torque_nm": RATED_NM,
-        "speed_rpm": 2500.0,
-        "current_max_a": pytest.approx(math.sqrt(2.0) * 12.0),
-        "dc_bus_voltage_v": 310.0,
-    }
-
-
-def test_a_stated_torque_constant_stands_in_for_a_measured_one() -> None:
-    made = session()
-    made.found.stated = {"torque_constant_nm_a": Stated(0.8, WORD), "resistance_ohm": Stated(2.0, WORD)}
-    made.found.torque_lag_us = 300.0
-    text = _motor_text(made)
-    assert "Not measurable over CiA 402, by the nameplate: resistance, torque constant." in text
-    motor = tomllib.loads(text)["motor"]
-    assert motor["flux_linkage_wb"] == pytest.approx(0.8 / math.sqrt(2.0) / 1.5)
-    assert (motor["resistance_ohm"], motor["inductance_q_h"]) == (2.0, pytest.approx(6e-4))
 
 
 # ---- what is written -------------------------------------------------------------------------------------

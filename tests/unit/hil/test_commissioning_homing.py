@@ -21,7 +21,6 @@ from servobench.hil.machine.stopping import Interrupted
 from tests.unit.hil.scripted_drive import ENABLED
 from tests.unit.hil.simulated_shaft import (
     PERIOD,
-    POSITION_RAD,
     VELOCITY_RAD_S,
     Objects,
     Shaft,
@@ -168,35 +167,6 @@ def test_a_homing_tells_the_jump_and_how_far_the_shaft_ran_on(told_early: int) -
     assert drive.now == Instant((10 + 126) * NS_PER_MS), "5 ms for the bit to fall"
 
 
-def test_a_position_that_is_set_back_late_is_awaited() -> None:
-    """By so many cycles behind the statusword as are looked at after the end."""
-
-    def script(cycle: int) -> tuple[float, int]:
-        return (1.0 if cycle < 60 else 1.0 - JUMP), HOMED if cycle > 24 else ENABLED
-
-    homed = Homing(script).search()
-    assert homed is not None
-    assert tuple(homed) == pytest.approx((JUMP, 0.0))
-
-
-def test_for_20_ms_the_statusword_is_of_the_homing_before() -> None:
-    drive = Homing(lambda cycle: (SPEED * 1e-3 * cycle, HOMED))
-    homed = drive.search()
-    assert homed is not None
-    assert tuple(homed) == pytest.approx((0.0, SPEED * 1e-3 * 36))
-    assert drive.syncs == 20 + 37
-
-
-@pytest.mark.parametrize("bit", [FOUND, REACHED])
-def test_an_end_that_is_taken_back_is_none(bit: int) -> None:
-    def script(cycle: int) -> tuple[float, int]:
-        return 0.0, ENABLED | bit if cycle == 56 else HOMED
-
-    drive = Homing(script)
-    assert drive.search() is not None
-    assert drive.syncs == 56 + 37
-
-
 @pytest.mark.parametrize("word", [ENABLED | FOUND, ENABLED | REACHED, ENABLED])
 def test_a_homing_that_does_not_end_in_time_is_given_up(word: int) -> None:
     drive = Homing(lambda _cycle: (0.0, word))
@@ -211,15 +181,6 @@ def test_a_homing_that_fails_or_a_drive_that_falls_out_ends_it_at_once(word: int
     assert drive.search() is None
     assert drive.syncs == 30
     assert drive.bits[-1] == (16, 0)
-
-
-def test_cycles_without_a_reading_count_nothing() -> None:
-    whole = homing()
-    drive = Homing(lambda cycle: None if cycle > 62 and cycle % 2 else whole(cycle))
-    homed = drive.search()
-    assert homed is not None
-    assert homed.jump == pytest.approx(JUMP)
-    assert drive.syncs == 90 + 2 * 36
 
 
 def test_a_stop_that_is_asked_for_ends_it_with_the_bit_taken_back() -> None:
@@ -284,19 +245,6 @@ def written(turns_s: float) -> list[tuple[int, int, str, int]]:
     ]
 
 
-@pytest.mark.parametrize(("nothing", "speed"), [(0, 0.5), (1, 2.0), (2, 8.0)])
-def test_what_is_not_found_slowly_is_searched_faster(
-    monkeypatch: pytest.MonkeyPatch, nothing: int, speed: float
-) -> None:
-    searching = Searching(monkeypatch, *[None] * nothing, 6.0)
-    found = index_turn(searching.session)
-    assert found == (6.0 / POSITION_RAD, f"index pulses at {speed:g} turns/s")
-    assert searching.done == ONE * (nothing + 1)
-    assert searching.objects.written == [
-        each for turns_s in (0.5, 2.0, 8.0)[: nothing + 1] for each in written(turns_s)
-    ]
-
-
 def test_no_pulse_at_any_speed_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     searching = Searching(monkeypatch, None, None, None)
     assert index_turn(searching.session) == (None, "no index pulse came")
@@ -329,12 +277,6 @@ def test_settings_that_the_drive_does_not_take_leave_it_unmoved(monkeypatch: pyt
         "homing acceleration: 609Ah holds 0, 12000 was asked for",
     )
     assert searching.done == []
-
-
-def test_a_unit_of_the_velocity_that_is_coarse_makes_one_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    searching = Searching(monkeypatch, 6.0, velocity_rad_s=10.0 * math.tau)
-    index_turn(searching.session)
-    assert searching.objects.held[Object.HOMING_SPEEDS, 1] == 1
 
 
 @pytest.mark.parametrize(

@@ -51,23 +51,6 @@ def begun(at_ns: int, name: str) -> dict[str, Any]:
     return {"at_ns": at_ns, "track": "step", "state": name}
 
 
-def test_steps_have_the_colour_of_their_verdict_and_one_without_was_under_way() -> None:
-    verdicts = ("done", "failed", "skipped", "left out", "not done", "odd")
-    events = [begun(place, f"s{place}") for place in range(7)]
-    lane = lane_of(events, *(step(f"s{place}", verdict) for place, verdict in enumerate(verdicts)))
-    assert lane.colors == {
-        "The s0": GOOD,
-        "The s1": RED,
-        "The s2": DIM,
-        "The s3": DIM,
-        "The s4": DIM,
-        "The s5": AMBER,
-        "s6": AMBER,
-    }
-    assert (lane.track, lane.times) == ("step", [0, 1, 2, 3, 4, 5, 6])
-    assert lane.labels == [*(f"The s{place}" for place in range(6)), "s6"]
-
-
 def test_a_step_that_is_begun_again_has_its_colour_once() -> None:
     events = [begun(1, "a"), begun(2, "b"), begun(3, "a"), {"at_ns": 4, "track": "drive", "state": "x"}]
     lane = lane_of(events, step("a", "done"), step("b", "failed"))
@@ -192,12 +175,6 @@ def test_there_is_a_plot_for_each_quantity_that_was_on_the_bus() -> None:
     lanes_px, speed, torque = left.row_shares
     assert (lanes_px, lanes_px + speed + torque) == (72 + 2 * 40, pytest.approx(980))
     assert speed - torque == pytest.approx(26 * (13 - 2.6))
-
-
-def test_a_commissioning_that_moved_nothing_has_its_lanes_alone() -> None:
-    left, _ = laid_out(bus())
-    assert names(left) == ["Steps and states"]
-    assert left.row_shares == [72 + 2 * 40]
 
 
 def test_the_units_are_those_that_were_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

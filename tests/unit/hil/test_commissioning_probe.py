@@ -13,7 +13,7 @@ import pytest
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode
 from servobench.drivers.exchange import Command, Reading, SentCommand
-from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Duration, Instant
 from servobench.hil.commissioning.command_probe import CommandProbe, TorqueSlope, switches, torque_slope
 from servobench.hil.commissioning.excitation import StepLag
 from servobench.hil.commissioning.findings import ReadingsLost, StatedFigure, StepFailed, StepOutcome
@@ -328,54 +328,9 @@ def answers(bus: Bus) -> int:
     return len(probe.answers)
 
 
-def test_each_switch_shows_its_answer_at_three_syncs() -> None:
-    assert answers(Bus()) == 3 * 500
-
-
-@pytest.mark.parametrize(("late_us", "unused"), [(500, 0), (501, 2)])
-def test_behind_a_sync_that_was_late_nothing_is_told_of_a_switch(late_us: int, unused: int) -> None:
-    """By more than half a period: here the third of four."""
-    assert answers(Bus(stalls={2 + 4 * 10 + 2: late_us * NS_PER_US})) == 3 * 500 - unused
-
-
-def test_a_sync_whose_torque_is_lost_tells_nothing_of_a_switch() -> None:
-    assert answers(Bus(unanswered={2 + 4 * 10 + 2})) == 3 * 500 - 1
-
-
-def test_the_next_command_counts_for_one_that_could_not_be_sent() -> None:
-    """An answer is of the first that was sent."""
-    whole, part = Bus(), Bus(unsent={2 + 4 * 10})
-    first, second = CommandProbe(whole.session()), CommandProbe(part.session())
-    first.run()
-    second.run()
-    assert len(second.answers) == len(first.answers) - 1
-    assert len(second.firsts) == len(first.firsts) - 1
-    assert second.answers[30][0] == pytest.approx(first.answers[30][0], abs=1e-3), "of the second frame"
-
-
-def test_the_part_of_a_switch_that_is_there_is_that_of_the_lag_s_answer() -> None:
-    bus = Bus()
-    probe = CommandProbe(bus.session())
-    probe.run()
-    assert probe.delays_us == [READING_US] * 2002
-    assert probe.missing == [False] * 2002
-    for age_us, part in probe.answers[300:330]:
-        there = 1.0 - math.exp(-max(0.0, age_us - DEAD_US) / LAG_US)
-        assert part == pytest.approx(there, abs=5e-3), "but for what is left of the switch before"
-    assert probe.firsts == probe.answers[::3]
-
-
 def test_switches_are_judged_once_nine_tenths_of_their_effect_must_be_there() -> None:
     """Twice the lag behind the half: 500 us; less than three tenths of the step is none of it."""
     probe = CommandProbe(Bus().session())
     probe.firsts = [(500.0, 0.0), (500.5, 0.0), (501.0, 0.299), (900.0, 0.3), (900.0, 1.0), (100.0, 0.0)]
     probe.judge_commands(StepLag(100.0, 0.0, 200.0, 0.0))
     assert (probe.commands, probe.commands_lost) == (4, 2)
-
-
-@pytest.mark.parametrize(
-    ("period_ms", "count"), [(1, 500), (2, 500), (3, 333), (6, 167), (7, 150), (50, 150)]
-)
-def test_in_all_it_lasts_four_seconds(period_ms: int, count: int) -> None:
-    assert switches(Bus(Duration(period_ms * NS_PER_MS)).session()) == count
-    assert count == max(150, min(500, round(NS_PER_S / (period_ms * NS_PER_MS))))

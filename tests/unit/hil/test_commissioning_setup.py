@@ -134,15 +134,6 @@ def limited(mode: Mode = CST, held_current: int = 2000, **limits: float) -> Obje
     return objects
 
 
-def test_halt_by_the_quick_stop_ramp_and_a_window_of_the_following_error() -> None:
-    """Half a turn of 65536 units; half of the rated torque is 500 thousandths."""
-    assert limited().written == [
-        (Object.MAX_CURRENT, 0, "H", 500),
-        (Object.HALT_OPTION, 0, "h", 2),
-        (Object.FOLLOWING_ERROR_WINDOW, 0, "I", 32768),
-    ]
-
-
 @pytest.mark.parametrize(("held", "written"), [(499, 499), (500, 500), (501, 500), (0xFFFF, 500)])
 def test_the_current_is_lowered_to_the_share_of_the_torque_and_never_raised(held: int, written: int) -> None:
     objects = limited(held_current=held)
@@ -160,14 +151,6 @@ def test_a_share_has_16_bits() -> None:
 def test_a_window_is_never_none_and_never_off(following_rad: float, units: int) -> None:
     """0 is no error at all, FFFF FFFFh no watch over it."""
     assert limited(following_rad=following_rad).held[WINDOW] == units
-
-
-def test_what_a_drive_does_not_have_is_told() -> None:
-    notes = _extra_limits(session_of(Shaft(TRUTH, mode=PT)))
-    assert notes == [
-        "605Dh:00 is missing: halt by quick stop ramp left to the drive",
-        "6065h:00 is missing: following error left to the drive",
-    ]
 
 
 # ---- enabled at rest -------------------------------------------------------------------------------------

@@ -104,24 +104,6 @@ def test_a_turn_that_nobody_can_measure_fails_without_the_nameplates_encoder() -
     )
 
 
-@pytest.mark.parametrize(
-    ("counts", "trusted", "units", "faults"),
-    [
-        (1000, False, 1000.0, []),
-        (1029, False, 1029.0, []),
-        (1000, True, 1000.0, []),
-        (4000, True, 4000.0, []),
-    ],
-)
-def test_an_unmeasured_turn_is_the_nameplates(
-    counts: int, trusted: bool, units: float, faults: list[str]
-) -> None:
-    outcome = StepOutcome()
-    found = _unmeasured(turning(counts, trusted=trusted), counts, 1000.0, outcome)
-    assert found == (units, "the nameplate's encoder, whose counts are taken for position units")
-    assert outcome.faults == faults
-
-
 def test_a_nameplate_that_is_not_believed_is_a_fault() -> None:
     session, outcome = turning(4000, attended=True), StepOutcome()
     cast(Any, session).dialog.line = lambda _question, _idle: "d"

@@ -61,32 +61,6 @@ def test_a_shaft_that_turns_as_it_is_told_needs_nothing() -> None:
     assert times_configured(session) == 0
 
 
-WRONG = [
-    (-1, 1.0, 0x00, 0xC0, "down", "negative"),
-    (-1, -1.0, 0x00, 0x80, "down", "positive"),
-    (1, -1.0, 0x00, 0x40, "up", "negative"),
-    (1, 1.0, 0x81, 0x01, "down", "positive"),
-    (1, 1.0, 0x40, 0x00, "up", "negative"),
-]
-
-
-@pytest.mark.parametrize(("position", "velocity", "held", "turned", "way", "shown"), WRONG)
-def test_wrong_signs_are_put_right_in_607eh(
-    position: int, velocity: float, held: int, turned: int, way: str, shown: str
-) -> None:
-    objects = Objects({POLARITY: held})
-    session, outcome = polarity(Shaft(TRUTH, objects, position_sign=position, velocity_factor=velocity))
-    assert objects.held[POLARITY] == turned
-    assert outcome.faults == [
-        f"polarity: a positive set-point turns the position {way} and shows {shown} velocity"
-        f"; 607Eh was {held:02X}h and is {turned:02X}h now"
-    ]
-    assert outcome.figures["polarity"] == turned
-    assert (session.found.override.torque_sign, session.found.override.velocity_sign) == (1.0, 1.0)
-    assert times_configured(session) == 1
-    assert len(outcome.lines) == 2
-
-
 @pytest.mark.parametrize("held", [None, 0x00])
 @pytest.mark.parametrize(
     ("position", "velocity", "torque_sign", "velocity_sign"),
@@ -302,18 +276,6 @@ def test_pulses_lead_up_to_four_times_as_far_until_the_ratio_is_known_or_the_sha
     assert asked == pytest.approx(looks)
 
 
-@pytest.mark.parametrize("error", [0.1001, math.inf, math.nan])
-def test_a_velocity_that_scatters_tells_no_unit(monkeypatch: pytest.MonkeyPatch, error: float) -> None:
-    session = compared(monkeypatch, SpeedRatio(1.0, error))
-    with pytest.raises(StepFailed) as caught:
-        run(MotionUnits(), session)
-    assert (caught.value.summary, caught.value.evidence, caught.value.remedy) == (
-        "the velocity 606Ch scatters too much for its unit to be told from this motion",
-        f"{100.0 * error:.2g} % (k = 2); 10 % is borne",
-        "allow more speed and travel ([limits] of the nameplate), or smooth 606Ch in the drive",
-    )
-
-
 def test_a_velocity_of_few_units_is_not_said_to_scatter(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(StepFailed) as caught:
         run(MotionUnits(), compared(monkeypatch, SpeedRatio(1.0, 0.2), units=9.0))
@@ -321,16 +283,3 @@ def test_a_velocity_of_few_units_is_not_said_to_scatter(monkeypatch: pytest.Monk
     assert caught.value.evidence == f"it shows 9 units at most, of {VELOCITY_RAD_S:.4g} rad/s (60A9h)"
     with pytest.raises(StepFailed, match="scatters too much"):
         run(MotionUnits(), compared(monkeypatch, SpeedRatio(1.0, 0.2), units=10.5))
-
-
-@pytest.mark.parametrize(
-    ("value", "error", "faulty"),
-    [(1.0299, 0.01, False), (1.031, 0.01, True), (1.19, 0.1, False), (1.201, 0.1, True), (-1.0, 0.01, False)],
-)
-def test_a_ratio_may_be_off_by_3_percent_or_by_twice_its_uncertainty(
-    monkeypatch: pytest.MonkeyPatch, value: float, error: float, faulty: bool
-) -> None:
-    session = compared(monkeypatch, SpeedRatio(value, error))
-    outcome = run(MotionUnits(), session)
-    assert bool(outcome.faults) is faulty
-    assert session.found.rough is None, "a drive of speeds has no use for it"

@@ -30,8 +30,6 @@ from servobench.virtual_bus.drive.servo import SimulatedServo
 from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from tests.motors import LING
 from tests.unit.hil.cycles import in_cycle
-from tests.unit.hil.row_tools import record_of, rows_of
-from tests.unit.hil.synthetic_run import synthetic_records
 
 ASKED = MeasureRequest("simulated", (1,), 40, 1000, 1_000_000, enable=True, speed_max_rad_s=20.0, seed=5)
 DISABLED = replace(ASKED, enable=False)
@@ -306,14 +304,3 @@ def test_a_disabled_one_is_stopped_by_nothing(bench: Bench) -> None:
     _, axis, _, _ = joined(bench, DISABLED)
     assert limits(axis, 30.5 * bench.unit_nm) == (False, True, DISABLED.cycles + 1)
     assert axis.parts.guard.check_speed(math.inf) is None
-
-
-def test_its_rows_are_the_cycles_that_came_in_their_order(bench: Bench) -> None:
-    subject = bench.subject()
-    assert subject.rows.size == 0
-    records = list(synthetic_records(40))
-    for count, record in enumerate(records, 1):
-        subject._record(record)
-        assert subject.rows.size == count
-    assert subject.rows.tobytes() == rows_of(records).tobytes()
-    assert record_of(subject.rows[-1]) == records[-1]

@@ -103,37 +103,6 @@ def content(size: int) -> bytes:
     return (bytes(range(251)) * (size // 251 + 1))[:size]
 
 
-@pytest.mark.parametrize("size", [1, 2, 3, 4])
-def test_four_bytes_and_less_come_in_one_frame(size: int) -> None:
-    data = content(4)[:size]
-    unused = (4 - size) << 2
-    write: list[Line] = [
-        ("c", bytes((0x23 | unused,)) + OBJECT + data.ljust(4, b"\xee")),
-        ("s", initiate(0x60)),
-    ]
-    assert ended(write) == [told(write, download=True, data=bytearray(data))]
-    read: list[Line] = [
-        ("c", initiate(0x40)),
-        ("s", bytes((0x43 | unused,)) + OBJECT + data.ljust(4, b"\xee")),
-    ]
-    assert ended(read) == [told(read, data=bytearray(data))]
-    assert ended(read)[0].whole
-
-
-def test_an_expedited_frame_that_tells_no_size_has_four_bytes() -> None:
-    """The s bit is 0: the n bits mean nothing."""
-    read: list[Line] = [("c", initiate(0x40)), ("s", bytes((0x4E,)) + OBJECT + b"abcd")]
-    assert ended(read) == [told(read, data=bytearray(b"abcd"))]
-
-
-@pytest.mark.parametrize("size", [0, 1, 5, 6, 7, 8, 13, 14, 15, 100])
-@pytest.mark.parametrize("download", [False, True])
-def test_a_segmented_transfer_of_any_length(size: int, download: bool) -> None:
-    lines = segmented(content(size), download)
-    data = bytearray(content(size))
-    assert ended(lines) == [told(lines, download=download, kind="segmented", data=data, announced=size)]
-
-
 @pytest.mark.parametrize("size", [0, 1, 6, 7, 8, 20, 21, 22, 42, 100])
 @pytest.mark.parametrize("download", [False, True])
 @pytest.mark.parametrize("per_block", [1, 3, 127])
@@ -188,23 +157,6 @@ def test_a_size_that_is_announced_and_does_not_come_is_noted(download: bool) -> 
         assert ended(lines) == [told(lines, **fields, notes=["9 bytes were announced, 8 came"])]
 
 
-@pytest.mark.parametrize("lost", [1, 2])
-@pytest.mark.parametrize("download", [False, True])
-def test_a_segment_that_the_log_does_not_have_is_missing(download: bool, lost: int) -> None:
-    """Of three; where the last one is missing, the transfer has no end."""
-    lines = segmented(content(21), download)
-    gone = [line for place, line in enumerate(lines) if place not in (2 * lost, 2 * lost + 1)]
-    data = content(21)[: 7 * lost - 7] + content(21)[7 * lost :]
-    fields: dict[str, Any] = {
-        "download": download,
-        "kind": "segmented",
-        "data": bytearray(data),
-        "announced": 21,
-    }
-    assert ended(gone) == [told(gone, **fields, notes=["segments are missing"])]
-    assert ended(lines[:-2]) == []
-
-
 @pytest.mark.parametrize("download", [False, True])
 def test_a_segment_of_a_block_that_was_acknowledged_and_is_not_there_is_missing(download: bool) -> None:
     """The CRC cannot be compared then."""
@@ -217,27 +169,6 @@ def test_a_segment_of_a_block_that_was_acknowledged_and_is_not_there_is_missing(
         "announced": 9,
     }
     assert ended(lines) == [told(lines, **fields, notes=["segments are missing"])]
-
-
-@pytest.mark.parametrize("download", [False, True])
-def test_segments_that_were_not_acknowledged_come_again_and_count_once(download: bool) -> None:
-    """Three segments; the first two are acknowledged, and the third comes in a sub-block of its own."""
-    lines = block(content(21), download)
-    acknowledged = next(place for place, (_, data) in enumerate(lines) if data[:2] == b"\xa2\x03")
-    writer, third = lines[acknowledged - 1]
-    reader = lines[acknowledged][0]
-    lines[acknowledged : acknowledged + 1] = [
-        (reader, b"\xa2\x02\x7f" + bytes(5)),
-        (writer, b"\x81" + third[1:]),
-        (reader, b"\xa2\x01\x7f" + bytes(5)),
-    ]
-    fields: dict[str, Any] = {
-        "download": download,
-        "kind": "block",
-        "data": bytearray(content(21)),
-        "announced": 21,
-    }
-    assert ended(lines) == [told(lines, **fields)]
 
 
 def test_a_block_upload_that_the_server_answers_with_a_plain_one() -> None:
@@ -289,38 +220,6 @@ def test_a_request_that_comes_again_before_its_answer_is_asked_twice() -> None:
     lines: list[Line] = [("c", initiate(0x40)), ("c", initiate(0x40)), ("c", initiate(0x40))]
     lines.append(("s", bytes((0x43,)) + OBJECT + b"abcd"))
     assert ended(lines) == [told(lines, asked=3, data=bytearray(b"abcd"))]
-
-
-def test_a_request_that_comes_again_after_an_answer_is_another_transfer() -> None:
-    begin = segmented(content(21), False)[:2]
-    channel = SdoChannel()
-    given_up = told(begin, kind="segmented", announced=21, finished=False)
-    assert ended([*begin, begin[0]], channel) == [given_up]
-    second = channel.pending
-    assert second == SdoTransfer(0x1234, 5, False, frame(3, begin[0][1]), frame(3, begin[0][1]), frames=1)
-
-
-def test_another_request_gives_a_transfer_up_with_all_that_was_known_of_its_segments() -> None:
-    """The second one begins with toggle 0 again, and misses nothing of the first."""
-    first, second = segmented(content(21), False)[:4], segmented(b"", True)
-    lines = [*first, *second]
-    cut, whole = ended(lines)
-    assert cut == told(
-        lines, last=4, kind="segmented", announced=21, finished=False, data=bytearray(content(7))
-    )
-    assert (bytes(whole.data), whole.notes, whole.finished, whole.frames) == (b"", [], True, 4)
-    gone = segmented(content(21), True)
-    after = ended([*gone[:2], *gone[4:], *segmented(content(8), True)])
-    assert [transfer.notes for transfer in after] == [["segments are missing"], []]
-
-
-def test_the_end_of_the_log_cuts_a_transfer_off_once() -> None:
-    channel = SdoChannel()
-    lines = block(content(21), True)[:4]
-    assert ended(lines, channel) == []
-    cut = told(lines, download=True, kind="block", announced=21, finished=False)
-    assert (channel.pending, channel.close(), channel.pending, channel.close()) == (cut, [cut], None, [])
-    assert SdoChannel().close() == []
 
 
 @pytest.mark.parametrize(

@@ -134,29 +134,6 @@ def test_an_error_of_nothing_has_no_range_and_a_far_limit_widens_none() -> None:
 LIMITED: Final = AxisPlan("axis1", 1.0, rated_torque_nm=2.0, torque_max_nm=5.0, speed_max_rad_s=100.0)
 
 
-def test_titles_say_which_limits_there_are() -> None:
-    assert figures().remarks() == {
-        "axis1/delay": " · deadline 2000",
-        "axis1/histogram": ", deadline 2000",
-    }
-    found = figures(
-        axis=LIMITED,
-        speed=meter(peak=20.0),
-        speed_error_peak_percent_max=10.0,
-        position_error_peak_rad_max=0.12345,
-    )
-    assert found.remarks() == {
-        "axis1/error": " · limit ±19.1",
-        "axis1/position_error": " · limit ±0.123",
-        "axis1/torque": " · limit ±5000",
-        "axis1/speed": " · limit ±955",
-        "axis1/delay": " · deadline 2000",
-        "axis1/histogram": ", deadline 2000",
-    }
-    strong = figures(axis=replace(LIMITED, rated_torque_nm=20.1))
-    assert strong.remarks()["axis1/torque"] == " · limit ±5"
-
-
 def lines(found: WholeFigures) -> dict[str, tuple[list[int], list[float]]]:
     """Times in steps."""
     return {
@@ -194,25 +171,6 @@ def test_a_limit_of_the_drive_is_a_line_where_it_is_nearly_reached(
     }
     assert lines(figures({path: [0.0, 0.98 * value]}, axis=LIMITED)) == {}
     assert lines(figures({path: [0.0, value]})) == {}, "without a limit"
-
-
-@pytest.mark.parametrize(("errors", "drawn"), [([0.5], True), ([0.49], False)])
-def test_the_limit_of_an_error_is_a_line_where_it_counts(errors: list[float], drawn: bool) -> None:
-    """2 rad/s; not while the speed settles, and not beyond the end."""
-    found = figures(
-        speed=meter(*errors, peak=20.0, settling=[(10 * STEP, 20 * STEP), (40 * STEP, 60 * STEP)]),
-        speed_error_peak_percent_max=10.0,
-    ).limit_lines(BEGIN, END)
-    assert list(found) == (["/axis1/error/most", "/axis1/error/least"] if drawn else [])
-    for path, sign in (("/axis1/error/most", 1.0), ("/axis1/error/least", -1.0)) if drawn else ():
-        times, values = found[path]
-        assert times.tolist() == [
-            *(BEGIN, 10 * STEP, 10 * STEP + 1),
-            *(20 * STEP, 40 * STEP),
-        ]
-        shown = [None if np.isnan(value) else round(value, 6) for value in values]
-        most = round(sign * 2.0 * RPM, 6)
-        assert shown == [most, most, None, most, most]
 
 
 def test_a_limit_after_a_load_is_a_line_where_it_counts_alone_and_beside_the_other() -> None:
