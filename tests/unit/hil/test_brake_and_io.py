@@ -66,6 +66,14 @@ def test_a_brake_that_is_too_weak_slips(tmp_path: Path) -> None:
     assert done.after == done.before
 
 
+def test_a_brake_that_gives_way_within_the_limits_slips_too(tmp_path: Path) -> None:
+    done = tried(tmp_path, braked(brake_torque_nm=0.998))  # of 1 N m that pushes
+    slip_deg = 360.0 * (max(done.tap.turns) - min(done.tap.turns))
+    assert 1.0 < slip_deg < 150.0
+    assert f"the brake slips: {int(slip_deg)}." in done.result.ended_by
+    done.tap.assert_rest()
+
+
 def test_a_brake_that_does_not_let_go_sticks(tmp_path: Path) -> None:
     servo = braked()
     servo.drive.firmware.damage.drag_brake(4.0)

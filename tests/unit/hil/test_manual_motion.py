@@ -331,6 +331,18 @@ def test_a_shaft_that_is_held_ends_the_motion(tmp_path: Path, motion: Callable[.
 # ---- homing -----------------------------------------------------------------------------------------------
 
 
+def test_a_jog_that_lags_behind_its_way_has_not_arrived(tmp_path: Path) -> None:
+    servo = SimulatedServo(1, LING)
+    servo.drive.firmware.damage.drag_brake(0.58)  # of 0.6 N m that it may push with: it turns, too slowly
+    done = jogged(tmp_path, servo=servo)
+    turned = done.tap.turns[-1] - done.tap.turns[0]
+    assert 0.5 < turned < 1.8
+    assert done.result.exit_status == 1
+    assert f"the shaft turned by {turned:+.1f}" in done.result.ended_by
+    done.tap.assert_rest()
+    assert done.after == done.before
+
+
 def test_a_homing_finds_the_next_index_and_its_offset_stays(tmp_path: Path) -> None:
     servo = SimulatedServo(1, LING)
     done = homed(tmp_path, 34, servo=servo, offset=0.25)
