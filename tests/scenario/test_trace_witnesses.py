@@ -12,7 +12,6 @@ from pathlib import Path
 from struct import pack
 from typing import NamedTuple
 
-import pyarrow as pa
 import pytest
 
 from servobench.hil.reviewing.trace.bus_log import BusLog
@@ -20,6 +19,7 @@ from servobench.hil.reviewing.trace.decoder import decode
 from servobench.hil.reviewing.trace.node_objects import KnownNodes, SheetFile
 from servobench.hil.reviewing.trace.run_trace import RecordedBus
 from servobench.hil.reviewing.trace.trace_entry import TraceEntry
+from servobench.hil.rows.records_file import read_table
 from servobench.hil.rows.run_files import RECORDS_FILE
 from servobench.hil.testing.bench_runs import BenchRunner
 from tests.canopen_session import TEXT, Witnessed, session
@@ -148,7 +148,7 @@ def compared(entries: list[TraceEntry], rows: list[Dissected]) -> dict[str, int]
 
 def speeds_are_those_of_the_records(folder: Path, entries: list[TraceEntry], zero_ns: int) -> None:
     """By the stamp of the frame, to the microsecond that candump has."""
-    table = pa.ipc.open_file(folder / RECORDS_FILE).read_all().select(["received_at", "velocity_rad_s"])
+    table = read_table(folder / RECORDS_FILE).select(["received_at", "velocity_rad_s"])
     recorded = {
         at // 1000: speed for at, speed in zip(*table.to_pydict().values(), strict=True) if at is not None
     }

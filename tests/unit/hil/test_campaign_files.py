@@ -87,7 +87,7 @@ def test_a_draw_has_the_parameters_of_its_distribution(draw: dict[str, Any], exp
 
 SEEDS = "campaign.seeds and campaign.first_seed for the seeds"
 INDEPENDENT = "random: an end when enough was seen takes draws that do not depend on each other"
-TABLES = "tables [[draw]] and none [[vary]] beside [adaptive]: it is over what is drawn"
+TABLES = "tables [[draw]] or [[twin]] and none [[vary]] beside [adaptive]: it is over what is drawn"
 ADAPTIVE = {"adaptive": {"guide": "g", "round_runs": 20}, "draw": [UNIFORM]}
 
 
