@@ -23,7 +23,7 @@ def brake(
     fault, or a key, 4 done, and disturbed by others.
 
     Examples:
-      hil brake --test --bus socketcan:can0 --node 1   # a real drive with a brake
+      hil brake --test --bus socketcan:can0 --node 1   # its brake: a real drive
     """
     from servobench.hil.commissioning.steps_brake import brake_limits, brake_steps
 
