@@ -19,7 +19,6 @@ from servobench.hil.commissioning.request import PlateLimits
 from servobench.hil.commissioning.sequence import Step
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_manual import ManualStep, SpeedUnits, set_up_steps
-from servobench.hil.commissioning.steps_setup import bear_unwatched
 from servobench.hil.loop.scenario import Quantity, Ramp, Segment
 
 _SET_BRAKE: Final = 1
@@ -67,9 +66,7 @@ class BrakeTest(ManualStep):
             f"each way at {_RPM:g} r/min; any key stops it"
         )
 
-    def run(self, session: Session, outcome: StepOutcome) -> None:
-        if session.unwatched:
-            bear_unwatched(session, outcome)
+    def move(self, session: Session, outcome: StepOutcome) -> None:
         for sign in (1.0, -1.0):
             self._push(session, outcome, sign)
         for sign in (1.0, -1.0):

@@ -6,6 +6,7 @@ and by the host, cycle by cycle.
 """
 
 import math
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
@@ -25,7 +26,7 @@ from servobench.hil.commissioning.request import PlateLimits
 from servobench.hil.commissioning.sequence import Step
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_mechanics import ramp_time
-from servobench.hil.commissioning.steps_setup import SetUp, bear_unwatched
+from servobench.hil.commissioning.steps_setup import SetUp, confirm_unwatched
 from servobench.hil.commissioning.steps_static import BusCheck, IdentityCheck, UnitsTold
 from servobench.hil.commissioning.steps_stopping import StopSettings
 from servobench.hil.commissioning.turn import can_home
@@ -110,6 +111,15 @@ class ManualStep(Step):
             raise PeerFault(lack)
         return None
 
+    def run(self, session: Session, outcome: StepOutcome) -> None:
+        if session.unwatched:
+            confirm_unwatched(session, outcome)
+        self.move(session, outcome)
+
+    @abstractmethod
+    def move(self, session: Session, outcome: StepOutcome) -> None:
+        """Do it, with the drive watched or somebody standing by. Raises as :meth:`run` does."""
+
 
 class Jog(ManualStep):
     """Turns the shaft by a path, at a speed."""
@@ -132,9 +142,7 @@ class Jog(ManualStep):
             f"{limits.travel_rad / math.tau:.4g} turns from here"
         )
 
-    def run(self, session: Session, outcome: StepOutcome) -> None:
-        if session.unwatched:
-            bear_unwatched(session, outcome)
+    def move(self, session: Session, outcome: StepOutcome) -> None:
         speed, rise_s, hold_s = self._course(session)
         signed = math.copysign(speed, self._turns)
         limits = session.limits
@@ -212,9 +220,7 @@ class Home(ManualStep):
             f"after {self._limit_s:g} s"
         )
 
-    def run(self, session: Session, outcome: StepOutcome) -> None:
-        if session.unwatched:
-            bear_unwatched(session, outcome)
+    def move(self, session: Session, outcome: StepOutcome) -> None:
         drive, objects = session.drive, session.objects
         method = self._method
         if method is None:

@@ -142,7 +142,7 @@ class Watchdog(Step):
 
     def run(self, session: Session, outcome: StepOutcome) -> None:
         if session.unwatched:
-            bear_unwatched(session, outcome)
+            confirm_unwatched(session, outcome)
             return
         timeout_ms = session.request.heartbeat_timeout_ms
         with session.stop.armed():
@@ -166,7 +166,7 @@ class Watchdog(Step):
             raise StepFailed("the drive reacts too late", f"{reaction_ms:.0f} ms, {timeout_ms} ms were set")
 
 
-def bear_unwatched(session: Session, outcome: StepOutcome) -> None:
+def confirm_unwatched(session: Session, outcome: StepOutcome) -> None:
     """Have somebody confirm that he stands by."""
     limits = session.limits
     session.dialog.tell(

@@ -37,6 +37,7 @@ from servobench.hil.restoring.journal import read_journal
 from servobench.hil.write_lists import writes_of
 from servobench.virtual_bus.drive.data_sheet import only_modes
 from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from servobench.virtual_bus.frame import Frame
 from tests.motors import LING
 from tests.scenario.foreign_node import put_on_the_bus
@@ -103,13 +104,17 @@ class Asked(Dialog):
 
     attended = True
 
-    def __init__(self, tell: Callable[[str], None], answer: Choice) -> None:
+    def __init__(self, tell: Callable[[str], None], answer: Choice, stands_by: bool = True) -> None:
         super().__init__(tell)
+        self.stands_by = stands_by
         self.answer, self.asked = answer, 0
 
     def choose(self, _question: str, _choices: tuple[Choice, ...], _idle: Idle) -> Choice:
         self.asked += 1
         return self.answer
+
+    def line(self, _question: str, _idle: Idle) -> str:
+        return "yes" if self.stands_by else "no"
 
 
 def memory(servo: SimulatedServo) -> dict[tuple[int, int], bytes]:
@@ -133,11 +138,13 @@ def moved(
     faults: dict[str, Any] | None = None,
     dialog: Callable[[Callable[[str], None]], Dialog] = Dialog,
     dry_run: bool = False,
+    unwatched: bool = False,
 ) -> Moved:
     drive = servo or SimulatedServo(1, LING)
     request = CommissionRequest(
-        "simulated", 1, out, nameplate=Nameplate(limits=limits), purpose=purpose, dry_run=dry_run
-    )
+        "simulated", 1, out, nameplate=Nameplate(limits=limits), purpose=purpose, dry_run=dry_run,
+        unwatched=unwatched,
+    )  # fmt: skip
     plan = WorldPlan(
         parse_bus_spec("simulated"), 1_000_000, False, None if faults is None else faults_from(faults, "x")
     )
@@ -230,6 +237,25 @@ def test_it_asks_before_the_motion_alone_and_does_nothing_unless_told_to(tmp_pat
     plan = next(text for text in done.told if "turn the shaft by" in text)
     assert "by +0.5 turns at 120 r/min within" in plan
     assert "with 0.6 N m at most; it is stopped by any key, at 156 r/min, and 0.65 turns from here" in plan
+
+
+@pytest.mark.parametrize("stands_by", [True, False])
+def test_a_drive_that_watches_nobody_moves_only_where_somebody_stands_by(
+    tmp_path: Path, stands_by: bool
+) -> None:
+    class Answering(Asked):
+        def choose(self, question: str, choices: tuple[Choice, ...], idle: Idle) -> Choice:
+            super().choose(question, choices, idle)
+            return Choice.GO if self.asked == 1 else Choice.QUIT
+
+    done = jogged(
+        tmp_path, 0.5, servo=SimulatedServo(1, LING, DriveParameters(lacks=("1016", "100C", "100D"))),
+        unwatched=True, dialog=lambda tell: Answering(tell, Choice.GO, stands_by),
+    )  # fmt: skip
+    assert any("Somebody has to stand at its emergency stop" in text for text in done.told)
+    assert any(done.tap.enabled) == stands_by
+    assert (done.result.exit_status == 0) == stands_by, done.told
+    assert not done.tap.enabled[-1]
 
 
 def test_a_dry_run_writes_nothing_and_says_what_would_come(tmp_path: Path) -> None:
