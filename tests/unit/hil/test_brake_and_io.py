@@ -2,7 +2,7 @@
 that are swapped, inverted, bounce, or are not there.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from servobench.drivers.canopen.network import CanopenNetwork
 from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.errors import BadInput, PeerFault
 from servobench.drivers.timebase import Instant
 from servobench.drivers.wire.adapters import parse_bus_spec
@@ -31,8 +32,10 @@ from servobench.hil.restoring.restore import restore
 from servobench.hil.write_lists import IO, RESTORE
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.virtual_bus.frame import Frame
 from tests.motors import LING
 from tests.scenario.foreign_node import Act, put_on_the_bus
+from tests.sdo_writes import SdoWrites, written
 from tests.unit.hil.test_manual_motion import Moved, moved
 
 PERCENT = 50.0
@@ -128,9 +131,21 @@ def asked(out: Path, **levels: bool) -> OutputRequest:
 
 
 def test_outputs_are_set_one_after_the_other_and_given_back_by_one_journal(tmp_path: Path) -> None:
+    class Heard(SdoWrites):
+        def __init__(self) -> None:
+            super().__init__()
+            self.subs: list[int] = []
+
+        def receive(self, frame: Frame, now: Instant) -> Sequence[Frame]:
+            if (key := written(frame)) and key[0] == Object.DIGITAL_OUTPUTS:
+                self.subs.append(key[1])
+            return super().receive(frame, now)
+
     with on_the_bus(braked()) as (world, network, objects):
+        put_on_the_bus(world, heard := Heard())
         before = read_panel(objects)
         told = set_outputs(network, asked(tmp_path, _16=True))
+        assert heard.subs == [1, 2], "with the mask first, the master would decide a former level"
         assert (told.outputs, told.mask) == (1 << 16 | 1, 1 << 16)
         told = set_outputs(network, asked(tmp_path, _17=True, _16=False))
         assert (told.outputs, told.mask) == (1 << 17 | 1, 3 << 16)
