@@ -39,6 +39,8 @@ class Coupling:
     backlash_rad: float = 0.0
     """From one flank to the other."""
     encoder: Side = Side.MOTOR
+    second_encoder: bool = False
+    """The other side has one too, which is told and not controlled by."""
 
     @property
     def antiresonance_hz(self) -> float:

@@ -71,16 +71,19 @@ class SetPointTable(Section):
     torque_filter_hz: float | None = Field(default=None, ge=1.0, le=20_000.0)
     """Corner of a first-order filter of the torque demand, in every mode; absent: none."""
     notch: NotchTable | None = Field(default=None, description="the table [set_point.notch]")
+    torque_slope: bool = False
+    """Torques of cst are reached by the slope 6087h, as it is when the drive is enabled, and not at once."""
 
     @property
     def parameters(self) -> SetPointPath:
         """The path of the simulated drive."""
         notch = None if self.notch is None else self.notch.notch
         kind = Interpolation(self.interpolation)
-        return SetPointPath(kind, self.filter_hz, self.torque_filter_hz, notch)
+        return SetPointPath(kind, self.filter_hz, self.torque_filter_hz, notch, self.torque_slope)
 
     @property
     def torque_parts(self) -> list[str]:
         """Filters that the torque demand passes, in words."""
         parts = [] if self.torque_filter_hz is None else [f"filter of {self.torque_filter_hz:g} Hz"]
-        return parts + ([] if self.notch is None else [f"notch at {self.notch.frequency_hz:g} Hz"])
+        parts += [] if self.notch is None else [f"notch at {self.notch.frequency_hz:g} Hz"]
+        return parts + (["slope by 6087h"] if self.torque_slope else [])

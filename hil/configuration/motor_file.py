@@ -62,6 +62,8 @@ class CouplingTable(Section):
     encoder: Literal["motor", "load"] = Field(
         default="motor", description="'motor' or 'load': where the encoder is"
     )
+    second_encoder: bool = False
+    """The other side has one too: the drive tells it in 60E4h:1, and controls by the first."""
 
     @model_validator(mode="after")
     def _one_stiffness(self) -> Self:
@@ -84,6 +86,7 @@ class CouplingTable(Section):
             self.damping_ratio,
             self.backlash_rad,
             Side(self.encoder),
+            self.second_encoder,
         )
         if found.resonance_hz > RESONANCE_MAX_HZ:
             raise ValueError(

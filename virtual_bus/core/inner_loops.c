@@ -195,6 +195,13 @@ static double current_limit(const InnerLoops *self)
     return self->watched.limiting != 0.0 ? least(current, self->protection.continuous_a) : current;
 }
 
+/* The torque set-point, N m, as far as its slope has come. */
+static double sloped(const InnerLoops *self)
+{
+    double step = self->path.step_nm, before = self->state.torque_demand_nm;
+    return step == 0.0 ? self->demand.torque_nm : within(self->demand.torque_nm, before - step, before + step);
+}
+
 /* The torque to be made, N m, inside every limit; for a torque set-point the state stays as it is.
 
    The speed limit is a proportional controller on the distance to it, so it bounds the torque towards the
@@ -219,7 +226,7 @@ static double torque_demand(InnerLoops *self)
     }
     double faster = self->loop.speed_limit_gain * (demand->speed_max_rad_s - state->speed_measured_rad_s);
     double slower = -self->loop.speed_limit_gain * (demand->speed_max_rad_s + state->speed_measured_rad_s);
-    return within(within(demand->torque_nm, slower, faster), -down, up);
+    return within(within(sloped(self), slower, faster), -down, up);
 }
 
 /* The voltage of one axis before decoupling: PI, or the controller's. */
@@ -365,7 +372,7 @@ static void run_firmware(InnerLoops *self)
     } else {
         state->braked = 0.0;
         double torque = torque_demand(self);
-        if (demand->control == CONTROL_TORQUE && torque != demand->torque_nm)
+        if (demand->control == CONTROL_TORQUE && torque != sloped(self))
             state->limited = 1.0;
         state->torque_demand_nm = torque;
         if (self->path.active)

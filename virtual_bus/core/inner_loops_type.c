@@ -484,6 +484,7 @@ static PyMemberDef members[] = {
     NUMBER("stop_damping_nm_s", mechanism.stops.damping_nm_s),
     NUMBER("stop_yield_s", mechanism.stops.yield_s),
     {"torque_path", T_INT, PLACE(path.active), 0, NULL},
+    NUMBER("torque_step_nm", path.step_nm),
     PARAMETER(path, low_gain),
     PARAMETER(path, notch_b0),
     PARAMETER(path, notch_b1),

@@ -137,6 +137,8 @@ class InnerLoops:
     # ---- between torque demand and current loops: parameters ----
     torque_path: int
     """0: the demand is made as it is."""
+    torque_step_nm: float
+    """That a torque set-point goes in a tick at most; 0: at once."""
     low_gain: float
     """1: no low pass."""
     notch_b0: float

@@ -4,6 +4,7 @@
 
 typedef struct TorquePath {
     int active;     /* 0: the demand is made as it is */
+    double step_nm;  /* that a torque set-point goes in a tick at most; 0: at once */
     double low_gain; /* of the low pass, Euler's backward rule; 1: there is none */
     double notch_b0, notch_b1, notch_b2, notch_a1, notch_a2; /* of the notch, over a0 */
 } TorquePath;

@@ -140,6 +140,7 @@ class SimulatedAxis:
         self.limited = self.barred = False
         self._barred_way = 0.0
         self.demand = None
+        self._inner.torque_step_nm = 0.0
         self._following.restart()
 
     def follow(self, count: float, counts_per_s: float) -> None:

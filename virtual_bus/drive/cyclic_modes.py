@@ -5,7 +5,7 @@ In all of them the master plans, and the drive follows.
 CSP   607Ah + 60B0h, interpolated over 60C2h; 60B2h is fed forward, and 60B1h, or while that is 0 the
       slope of the interpolation
 CSV   60FFh + 60B1h, reached within 60C2h, no faster than 60C5h and 60C6h; 60B2h is fed forward
-CST   6071h + 60B2h, at once
+CST   6071h + 60B2h, at once, or by 6087h in a drive whose maker has it so
 IP    60C1h:1, interpolated over 60C2h (60C0h = 0), while bit 4 of the controlword is 1
 
 Statusword bit 12 in the first three: the drive follows the command; 0 while the end of the axis bars the way.
@@ -39,16 +39,24 @@ class CyclicSynchronousTorque(_CyclicMode):
         self._target = axis.objects.target_torque
         self._offset = axis.objects.torque_offset
         self._firmware = axis.firmware
+        self._sloped = axis.path.torque_slope
 
     def begin(self, _controlword: int) -> None:
         self.axis.begin()
         self.take_torque()
+        if self._sloped:
+            self._take_slope()
         self._firmware.control(InnerControl.TORQUE)
 
     def take_torque(self) -> None:
         target: int = self._target.value
         offset: int = self._offset.value
         self._firmware.demand_torque((target + offset) * self.axis.torque_unit_nm)
+
+    def _take_slope(self) -> None:
+        axis = self.axis
+        slope_nm_s = axis.motion.torque_slope.value * axis.torque_unit_nm
+        self._firmware.inner.torque_step_nm = slope_nm_s * self._firmware.tick_s
 
     def run(self) -> None:
         self.axis.make_torque((self._target.value + self._offset.value) * self.axis.torque_unit_nm)

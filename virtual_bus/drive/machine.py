@@ -21,7 +21,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, Final
 
-from servobench.design.mechanism import Mechanism, Switches
+from servobench.design.mechanism import Coupling, Mechanism, Side, Switches
 from servobench.drivers.canopen.objects301 import DataType
 from servobench.drivers.cia402.objects402 import INTERLOCK, Object
 from servobench.virtual_bus.core.native import InnerLoops, clipped
@@ -32,6 +32,8 @@ from servobench.virtual_bus.drive.user_units import UserUnits
 
 MACHINE: Final = 0x2110
 """Manufacturer-specific."""
+ADDITIONAL_POSITION: Final = 0x60E4
+"""CiA 402-2; sub-index 1: of a second encoder."""
 _SWITCH_BITS: Final = 0x7
 _LIMIT_BITS: Final = 0x3
 _FAR: Final = 0x7FFF_FFFF
@@ -68,6 +70,9 @@ class SimulatedMachine:
         self.inputs.provider = self.input_bits
         record = self._add_objects(dictionary, inner.end_stops != 0)
         TouchProbes(dictionary, record, inner, units, self.next_index)
+        coupling = None if mechanism is None else mechanism.coupling
+        if coupling is not None and coupling.second_encoder:
+            self._add_second_encoder(dictionary, coupling, units)
 
     # ---- what the drive sees --------------------------------------------------------------------------
 
@@ -168,6 +173,17 @@ class SimulatedMachine:
             tells(9, "End stops hit", DataType.UNSIGNED32, provider=lambda: int(self._inner.stop_hits))
             tells(10, "Speed at the last hit", DataType.INTEGER32, provider=self._hit_speed)
         return record
+
+    def _add_second_encoder(self, dictionary: ObjectDictionary, coupling: Coupling, units: UserUnits) -> None:
+        """60E4h: the encoder on the other side of the coupling, with as many counts, and no errors."""
+        inner, on_load = self._inner, coupling.encoder is Side.MOTOR
+
+        def position() -> int:
+            ahead_rad = inner.angle_rad - (inner.twist_rad if on_load else 0.0)
+            return units.position_of(math.floor((inner.turns + ahead_rad / math.tau) * self._counts))
+
+        told = dictionary.add_array(ADDITIONAL_POSITION, "Additional position")
+        told.add(1, "Second encoder", DataType.INTEGER32, Access.READ_ONLY, mappable=True, provider=position)
 
     def _hit_speed(self) -> int:
         """mrad/s."""

@@ -44,6 +44,8 @@ class SetPointPath:
     """Corner of a first-order filter of the torque demand, whatever asks for it; None: no filter."""
     notch: Notch | None = None
     """Behind that; None: none."""
+    torque_slope: bool = False
+    """Torques of cst are reached by 6087h, and not at once."""
 
 
 STRAIGHT = SetPointPath()

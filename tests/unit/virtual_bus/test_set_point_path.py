@@ -4,6 +4,7 @@ computed apart; the torque's filters beside scipy's."""
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from scipy.signal import bilinear, lfilter
 
 from servobench.design.statespace import StateSpace
 from servobench.drivers.cia402.objects402 import Object
-from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.cia402.profile import Mode, Status
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
 from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
 from servobench.virtual_bus.drive.servo_parameters import DriveParameters
@@ -163,3 +164,27 @@ def test_the_filters_of_the_torque_begin_anew_when_the_drive_is_switched_on() ->
 def test_a_notch_beyond_the_inner_loop_is_refused() -> None:
     with pytest.raises(ValueError, match="notch at 5000 Hz: below two fifths of the inner rate, 3200 Hz"):
         FirmwareParameters(inner_rate_hz=8_000, path=SetPointPath(notch=Notch(5_000.0)))
+
+
+def test_a_torque_of_cst_is_reached_by_its_slope() -> None:
+    """Up, and back through zero, by 6087h to a tick; at once in a drive that is not so."""
+    course = {}
+    for sloped in (True, False):
+        bench = MotionBench(
+            Mode.CYCLIC_SYNCHRONOUS_TORQUE,
+            DriveParameters(path=SetPointPath(torque_slope=sloped)),
+            enabled=False,
+        )
+        bench.set(Object.TORQUE_SLOPE, "I", 20_000)
+        bench.map_rpdo(2, 0x6040_0010, 0x6071_0010)
+        bench.enable()
+        told = []
+        for target in (300, -200):
+            bench.send(2, "Hh", ENABLED, target)
+            told += bench.watch(30, partial(bench.read, Object.TORQUE_DEMAND, "h"))
+            assert not bench.statusword & Status.INTERNAL_LIMIT_ACTIVE
+        course[sloped] = np.array(told)
+    at_ms = np.arange(1.0, 31.0)
+    up, down = np.minimum(20.0 * at_ms, 300.0), np.maximum(300.0 - 20.0 * at_ms, -200.0)
+    assert course[True] == pytest.approx(np.concatenate([up, down]), abs=2 * 20.0 / 16.0)
+    assert course[False] == pytest.approx(np.repeat([300.0, -200.0], 30), abs=1.0)
