@@ -37,7 +37,7 @@ class Health:
         self.before_sync = 0
         """Readings, placed for certain, that would have come before their SYNC."""
         self.two_stamps = 0
-        """SYNCs with two different stamps, in readings that were placed for certain."""
+        """SYNCs with two different stamps whose row had been recorded as certain."""
         self.error_ns_max = 0
         """Largest error bound of a reading placed for certain."""
         self.stamp_error_ns_max = 0
@@ -76,11 +76,14 @@ class Question:
         """Bounds of rows whose readings may be others'."""
         self._proved: dict[int, tuple[Instant, int]] = {}
         """Of rows, when the reading came that is theirs, and the bound of its sample."""
+        self._recorded = -1
+        """The newest row that is recorded."""
 
-    def doubt(self, sequence: int, error_ns: int) -> None:
-        """The row of a cycle is uncertain after all."""
+    def doubt(self, sequence: int, error_ns: int) -> bool:
+        """Mark the row of a cycle uncertain after all; return False if it is recorded already."""
         self._doubted[sequence] = error_ns
         self._proved.pop(sequence, None)
+        return sequence > self._recorded
 
     def prove(self, sequence: int, received_at: Instant, error_ns: int) -> None:
         """The row of a cycle is certain after all, if it has the reading that came at ``received_at``: it may
@@ -94,9 +97,9 @@ class Question:
     def applied(self, observation: Observation, received_at: Instant | None) -> Observation:
         """The observation with what became known since, which is then forgotten. ``received_at``: of its
         reading; None if it has none."""
+        row = self._recorded = observation.sequence
         if not (self._doubted or self._proved):
             return observation
-        row = observation.sequence
         error_ns = self._doubted.pop(row, None)
         certain = False
         if row in self._proved:

@@ -134,7 +134,7 @@ class StampAttribution:
                 self._acquit()
             self._case.twice = 0
             return self._matched(reading, device_ns, mark, residual)
-        return self._suspect(reading, device_ns, mark if free else None, at, known)
+        return self._suspect(reading, device_ns, mark, free, at, known)
 
     def _usual(self, mark: SyncMark, delay: int, reading: Reading) -> bool:
         """True if a reading on a free SYNC raises no question, and answers the one that may be open."""
@@ -238,14 +238,12 @@ class StampAttribution:
         return proved == len(guesses)
 
     def _acquit(self) -> None:
-        """The clock is as it was: a second stamp for a SYNC has no explanation then."""
-        for suspect in self._suspects:
-            self.health.two_stamps += suspect.second
+        """The clock is as it was: of two stamps of a SYNC one is of another that came late to the drive."""
+        shared = {suspect.beside for suspect in self._suspects}
+        self.health.two_stamps += sum(each.second and each.beside == SURPLUS for each in self._suspects)
         for mark, stamp in self._case.revoked:
-            if self.doubt.open:
-                self.doubt.revoked.append(mark.sequence)
-            else:
-                self.question.withdraw(mark.sequence)
+            if mark.sequence not in shared:
+                (self.doubt.revoked.append if self.doubt.open else self.question.withdraw)(mark.sequence)
             self._case.stamps.setdefault(mark.number, stamp)
         self._close()
 
@@ -258,9 +256,9 @@ class StampAttribution:
         self.question.since = None
 
     def _suspect(
-        self, reading: Reading, device_ns: int, free: SyncMark | None, at: Instant, known: int | None
+        self, reading: Reading, device_ns: int, mark: SyncMark, free: bool, at: Instant, known: int | None
     ) -> Sample | None:
-        """A reading that puts the question, or comes while it is open, on a SYNC that is ``free`` or not."""
+        """A reading that puts the question, or comes while it is open, on or near the SYNC of ``mark``."""
         suspects = self._suspects
         if any(suspect.is_copied_by(reading) for suspect in suspects):
             self.health.duplicates += 1
@@ -277,10 +275,12 @@ class StampAttribution:
             if self.spread:
                 self._revoke()
         suspects.append(Suspect(device_ns, reading.received_at, known, early, reading.velocity_rad_s))
-        if free is not None:
+        if free:
             self._slowest = max(self._slowest, reading.received_at - at)
+        if known is not None and self.question.doubt(mark.sequence, self.doubtful_error_ns):
+            suspects[-1].beside = mark.sequence
         self.question.open = True
-        guess = self._guess(reading, free)
+        guess = self._guess(reading, mark if free else None)
         if guess is not None:
             suspects[-1].guess = guess.sequence
         self._settle()
@@ -337,8 +337,10 @@ class StampAttribution:
         for suspect, mark in placed:
             assert mark.on_bus_at is not None
             pairs.append((suspect.device_ns, mark.on_bus_at))
-        steps = line.steps or self.stamps.lie_early(pairs)
+        steps, shared = line.steps or self.stamps.lie_early(pairs), {each.beside for each in self._suspects}
         if steps:
+            for sequence in shared - {mark.sequence for mark, _ in self._case.revoked}:
+                self.question.withdraw(sequence)
             self._tell_step(self.clock.place(pairs[0][0]) - pairs[0][1], len(self._suspects))
             self.stamps.move_to(pairs)
             self.doubt.moved()

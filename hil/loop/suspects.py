@@ -41,6 +41,8 @@ class Suspect:
         """True if it would have come before its SYNC if the clock was not set."""
         self.guess = SURPLUS
         """The cycle in which it was placed, uncertain."""
+        self.beside = SURPLUS
+        """The cycle, in doubt since then, whose SYNC has the other stamp; :data:`SURPLUS` without one."""
 
     def is_copied_by(self, reading: Reading) -> bool:
         """Return whether ``reading`` tells the same: a clock that is set back makes its stamps again."""

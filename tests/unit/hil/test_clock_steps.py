@@ -5,6 +5,7 @@ import pytest
 from servobench.hil.loop.clock_question import AGREEING
 from servobench.hil.loop.drive_stamps import MATCH_NS
 from servobench.hil.loop.samples import Sample
+from servobench.hil.loop.stamp_attribution import REVOKED
 from servobench.hil.loop.syncs import REMEMBERED
 from tests.unit.hil.loop_fakes import PERIOD, TRANSIT
 from tests.unit.hil.test_stamp_attribution import DELAY, FIRST, OFFSET, Rig
@@ -157,6 +158,60 @@ def test_a_stamp_from_after_its_frame_s_start_is_no_matter_of_the_network(
     assert rig.place(FIRST, 100_000, delay) is not None
     rig.cycle(FIRST + 1)
     assert rig.state() == (not answered, None, False)
+
+
+# ---- SYNCs that came late to the drive, by a period ------------------------------------------------------
+
+
+def two_on_one_sync(rig: Stepping, number: int) -> None:
+    """A drive that stood still answers SYNC ``number``, and in the same instant the one after it."""
+    rig.sync(number)
+    rig.sync(number + 1)
+    for late, delay in ((2_000, DELAY), (0, DELAY + 300)):
+        sample = rig.place(number + 1, late, delay)
+        assert sample is not None
+        rig.samples.append(sample)
+
+
+def test_of_two_stamps_for_one_sync_its_row_is_uncertain_and_the_run_no_worse() -> None:
+    rig = Stepping()
+    two_on_one_sync(rig, FIRST)
+    rig.cycle(FIRST + 2)
+    assert rig.state() == (False, None, False)
+    rows = rig.amended()
+    assert rows[:2] == [(FIRST + 1, False, DOUBTFUL), (FIRST, False, DOUBTFUL)]
+    assert rows[2][:2] == (FIRST + 2, True)
+    assert rig.stamped.health.two_stamps == 0
+
+
+def test_two_stamps_for_a_sync_whose_row_is_recorded_are_an_alarm() -> None:
+    rig = Stepping()
+    rig.sync(FIRST)
+    rig.cycle(FIRST + 1, 2_000)
+    assert rig.amended()[0][1]
+    assert rig.place(FIRST + 1) is not None
+    rig.cycle(FIRST + 2)
+    assert rig.stamped.health.two_stamps == 1
+
+
+def test_two_stamps_for_one_sync_stay_in_doubt_where_delays_spread() -> None:
+    rig = spread()
+    two_on_one_sync(rig, FIRST + 5)
+    rig.cycle(FIRST + 7)
+    assert rig.stamped.health.two_stamps == 0
+    assert [certain for _, certain, _ in rig.amended()] == [True] * 5 + [False] * 2 + [True]
+
+
+@pytest.mark.parametrize("spreads", [False, True])
+def test_a_second_stamp_behind_a_step_leaves_the_first_where_it_was(spreads: bool) -> None:
+    """The first reading behind it lies on the SYNC before its own, which stays in doubt if delays spread."""
+    rig = spread() if spreads else Stepping()
+    first = FIRST + len(rig.samples)
+    for number in range(first, first + 1 + REVOKED + AGREEING):
+        rig.cycle(number, 2_000 - PERIOD if number > first else 0)
+    assert rig.stamped.health.steps == 1
+    row = next(row for row in rig.amended() if row[0] == first)
+    assert row[1] is not spreads
 
 
 # ---- delays that spread over more than half a period ------------------------------------------------------
