@@ -6,7 +6,8 @@
 Each reading answers a later SYNC than the one before, so that of the next one at the earliest; at the latest
 the last that its frame leaves time for. Where both are the same it is certain, and so are those before it.
 A loss leaves one to spare, until a delay would be longer than all are: then the loss is known. If a delay had
-grown instead, readings would soon come too early for it, so what rests on such a loss waits for more.
+grown instead, readings would soon come too early for it, or earlier than any before; so what rests on such a
+loss waits for more, and where the shortest is far longer than a frame takes nothing rests on it.
 
 That a way keeps the order is seen in the frames of one SYNC: where delays spread over a period and frames
 overtake each other, they do so within a SYNC too, in one cycle of four.
@@ -28,13 +29,18 @@ HEEDED: Final = 96
 SEEN_MIN: Final = 16
 """Certain delays that tell how long the longest is."""
 SLACK_PARTS: Final = 8
-"""By such a part of their spread the next one may well be longer."""
+"""By such a part of their spread the next one may well be longer,"""
+SLACKS: Final = 4
+"""or by so many mean gaps; and hardly be shorter by more than these."""
 WAITS: Final = 16
 """Readings behind one that is certain: if one too many had come, there would be more than SYNCs by then."""
 WAITS_LOST: Final = 48
 """The same of one that rests on a loss: those of a delay that has grown would have come too soon."""
 LOSSES_MIN: Final = 3
 """As few may be a delay that has grown by about a period, once or twice."""
+HIDES_PARTS: Final = 2
+"""A shortest delay that exceeds a frame's by such a part of a period hides a delay that has grown by less than
+a period: it takes a loss's place, and no reading comes too early."""
 WIDEST: Final = 2
 """Periods: in a queue that holds frames for longer few come soon enough to show that a delay has grown."""
 KEPT: Final = 64
@@ -83,6 +89,8 @@ class KeptOrder:
         self._distrusted = 0
         self._lost = False
         """True if one was lost since it was known how many there are."""
+        self._hidden = False
+        """True if a delay may have grown instead."""
         self._losses = 0
         """Times that some were, up to :data:`LOSSES_MIN`."""
         self._count = 0
@@ -128,6 +136,7 @@ class KeptOrder:
             return None
         if mark.number > self._last + 1:
             self._lost = True
+            self._hidden |= HIDES_PARTS * (self._low - self._soonest) > self._period
             self._losses = min(LOSSES_MIN, self._losses + 1)
         self._last = mark.number
         self._count += 1
@@ -135,6 +144,8 @@ class KeptOrder:
         self._rows.append(row)
         if len(self._rows) > KEPT:
             del self._rows[0]
+        shortest = self._low - SLACKS * (self._high - self._low) // max(self._seen, 1)
+        self._hidden |= self._lost and row.delay < shortest  # a delay has grown by less than a period
         if self._count == AT_REST and self._alike and len(self._rows) > 1:
             self._count_those_at_rest()
         self._prove()
@@ -144,7 +155,7 @@ class KeptOrder:
         latest = self._last + 1
         waits = WAITS
         if self._lost:
-            waits = WAITS_LOST if self._losses >= LOSSES_MIN else KEPT
+            waits = WAITS_LOST if self._losses >= LOSSES_MIN and not self._hidden else KEPT
         for behind, row in enumerate(reversed(self._rows)):
             if row.certain:  # so are those before it, or never will be
                 break
@@ -158,7 +169,7 @@ class KeptOrder:
 
     def _begin(self, number: int) -> None:
         self._rows.clear()
-        self._last, self._lost = number, False
+        self._last, self._lost, self._hidden = number, False, False
         self._count = self._alike = 0
 
     def _count_those_at_rest(self) -> None:
@@ -177,7 +188,7 @@ class KeptOrder:
         longest = at
         if self._seen >= SEEN_MIN:
             spread = self._high - self._low
-            longest = Instant(self._high + max(spread // SLACK_PARTS, 4 * spread // self._seen))
+            longest = Instant(self._high + max(spread // SLACK_PARTS, SLACKS * spread // self._seen))
         marks = self._syncs.marks
         for mark in marks[max(0, self._last + 1 - marks[0].number) :]:
             if mark.on_bus_at is not None and at - mark.on_bus_at <= longest:

@@ -19,16 +19,23 @@ LEARNED = 200
 """SYNCs until the order has shown, and the longest delay."""
 
 
-def come(seed: int, in_order: bool, lost: float, surplus: float = 0.0) -> list[tuple[int, int, int]]:
-    """Of each reading, when it comes, when the position of its SYNC did, and the number of that."""
+def come(
+    seed: int, in_order: bool, lost: float, surplus: float = 0.0, held: int = 0, grown: int = 0
+) -> list[tuple[int, int, int]]:
+    """Return of each reading when it comes, when the position of its SYNC did, and the number of that.
+
+    ``held``: by so much each delay is longer than its frame takes, and nothing is lost until the order has shown;
+    ``grown``: from the middle on by so much more."""
     draw = Random(seed)
     frames: list[tuple[int, bool, int]] = []
     released = 0
     for number in range(2, SYNCS):
-        is_lost = draw.random() < lost
+        is_lost = draw.random() < lost and not (held and number < LEARNED)
+        queued = held + (grown if number > SYNCS // 2 else 0)
         for is_speed in (False, True):
             at = (
                 number * PERIOD
+                + queued
                 + TRANSIT * (1 + is_speed)
                 + draw.randrange(MOST if is_speed or not in_order else 1)
             )
@@ -91,3 +98,14 @@ def test_a_reading_that_another_frame_of_its_syncs_has_overtaken_counts_for_none
     """A SYNC that comes twice to the drive is answered twice."""
     rows = placed(come(3, in_order=True, lost=0.0, surplus=0.02))
     assert not any(certain and own != told for own, told, certain in rows)
+
+
+@pytest.mark.parametrize(("held", "grown"), [(20, 70), (20, 85), (40, 75), (67, 75), (67, 90), (67, 100)])
+def test_a_delay_that_grows_by_nearly_a_period_is_no_loss(held: int, grown: int) -> None:
+    """In percent of a period. No reading comes before its SYNC for that, but one does sooner than all before; and
+    where even the shortest is held long, what looks like a loss shows none."""
+    held, grown = PERIOD * held // 100, PERIOD * grown // 100
+    for seed in (4, 5, 7):
+        rows = placed(come(seed, in_order=True, lost=0.02, held=held, grown=grown))
+        assert not any(certain and own != told for own, told, certain in rows)
+        assert any(certain for _, _, certain in rows)
