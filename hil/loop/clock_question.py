@@ -67,10 +67,10 @@ class ClockQuestion(AnsweredSyncs):
             return False  # early: before its SYNC, which no network can do
         period, low, slack, since = 2 * self._half, self.delays.low, self.delays.slack(), delay
         gaps = [(other.on_bus_at or 0) - (mark.on_bus_at or 0) for other in self._syncs.beside(mark)]
-        least, most = max(0, low - slack), self.delays.high + slack
+        least, most = low - self.delays.unseen(0), self.delays.high + slack
         if self._echoes_late:  # each is off the map by up to half of what residuals reach over
             off = self._stamps.residuals.reach // 2
-            since, least, most = at - (mark.on_bus_at or 0), low - slack - off, most + off
+            since, least, most = at - (mark.on_bus_at or 0), least - off, most + off
         else:  # the stamp tells a SYNC apart whose distance is no period
             gaps = [gap for gap in gaps if abs(abs(gap) - period) <= self._half // 4]
         if any(least <= since - gap <= most for gap in (period, -period, *gaps)):

@@ -70,6 +70,26 @@ def test_a_clock_that_is_set_costs_fifty_cycles_at_most(name: str, step_ns: int,
     assert outcome.by_stamp.health.steps == len(outcome.told) == 2
 
 
+@pytest.mark.parametrize("seed", [5, 19, 20, 40])
+def test_a_reading_shorter_than_any_before_does_not_show_that_the_clock_ran_on(seed: int) -> None:
+    """Delays of two parts in a queue are rare near their least: a clock that was set back by a period makes one
+    look longer by it, so that a shorter one than any before seemed to exclude it."""
+    before = 0
+
+    def queued(_number: int, choices: random.Random) -> int:
+        nonlocal before
+        delay = 300_000 + choices.randrange(PERIOD * 7 // 10) + choices.randrange(PERIOD * 7 // 10)
+        before = max(delay, before - PERIOD)
+        return before
+
+    dithered = Network(
+        delay=queued, lateness=lambda _n, choices: choices.randrange(5_000), steps={900: -PERIOD}
+    )
+    outcome = play(dithered, 1000, seed)
+    assert outcome.misjudged == []
+    assert len(outcome.uncertain) < 100
+
+
 def test_a_late_host_misplaces_nothing() -> None:
     def lateness(_n: int, r: random.Random) -> int:
         return r.choice([0, 0, 0, 80_000, 490_000])
