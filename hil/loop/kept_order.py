@@ -39,8 +39,8 @@ WAITS_LOST: Final = 48
 LOSSES_MIN: Final = 3
 """As few may be a delay that has grown by about a period, once or twice."""
 HIDES_PARTS: Final = 2
-"""A shortest delay that exceeds a frame's by such a part of a period hides a delay that has grown by less than
-a period: it takes a loss's place, and no reading comes too early."""
+"""A shortest delay that exceeds a frame's by such a part of a period hides a delay that has grown by less
+than a period: it takes a loss's place, and no reading comes too early."""
 WIDEST: Final = 2
 """Periods: in a queue that holds frames for longer few come soon enough to show that a delay has grown."""
 KEPT: Final = 64

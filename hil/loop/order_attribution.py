@@ -37,7 +37,7 @@ class OrderAttribution:
         self._sure, self._beyond = True, False  # beyond: the question has had no answer so far
         self._unsure, self._strays = Unconfirmed(self.question, self._usual), Strays()
         self._held: tuple[int, Instant, int] | None = None  # a row, if the next reading is to show it
-        self._untidy = 0  # readings while frames may be held up
+        self._untidy = self._copied = 0  # readings while frames may be held up; SYNC of the last, if a copy
 
     @property
     def wants_probe(self) -> bool:
@@ -110,20 +110,20 @@ class OrderAttribution:
             self.question.prove(*self._held)
             self.question.withdraw(mark.sequence)
             self.question.cleared = self._sure
-        self._answered = mark.number
+        self._answered, self._held = mark.number, None
         self._known = mark.number if self._sure else self._known
-        self._held = None
         self.question.open = not (self._sure or self._beyond)
         if mark.sequence == SURPLUS:
             return self._guess(reading, None)
         delay = received_at - (mark.on_bus_at or 0)
-        copy = copy and self._untidy > 0
         behind = self._open.may_be_taken_for(mark)
-        self._in_question.take_copy(copy=copy)
+        self._in_question.take_copy(copy=(copy := copy and self._untidy > 0))
         final = copy or self._sure or self._beyond or self._syncs.may_hide(mark, received_at)
         if waits := not final and self._in_question.fits(delay, self._lags()):
             self._unsure.add((mark.sequence, received_at, self._error_of(delay)), delay, behind)
-        certain = self._sure and not (copy or (behind and self._untidy > 0))
+        is_next = 0 < self._copied == mark.number - 1  # it may be of the SYNC that a copy was placed at
+        self._copied = mark.number if copy else 0
+        certain = self._sure and not (copy or is_next or (behind and self._untidy > 0))
         return self._sample(reading, mark, certain=certain, waits=waits)
 
     def _is_plain(self, mark: SyncMark) -> bool:

@@ -72,8 +72,8 @@ def test_a_clock_that_is_set_costs_fifty_cycles_at_most(name: str, step_ns: int,
 
 @pytest.mark.parametrize("seed", [5, 19, 20, 40])
 def test_a_reading_shorter_than_any_before_does_not_show_that_the_clock_ran_on(seed: int) -> None:
-    """Delays of two parts in a queue are rare near their least: a clock that was set back by a period makes one
-    look longer by it, so that a shorter one than any before seemed to exclude it."""
+    """Delays of two parts in a queue are rare near their least: a clock that was set back by a period makes
+    one look longer by it, so that a shorter one than any before seemed to exclude it."""
     before = 0
 
     def queued(_number: int, choices: random.Random) -> int:

@@ -24,8 +24,8 @@ def come(
 ) -> list[tuple[int, int, int]]:
     """Return of each reading when it comes, when the position of its SYNC did, and the number of that.
 
-    ``held``: by so much each delay is longer than its frame takes, and nothing is lost until the order has shown;
-    ``grown``: from the middle on by so much more."""
+    ``held``: by so much each delay is longer than its frame takes, and nothing is lost until the order has
+    shown; ``grown``: from the middle on by so much more."""
     draw = Random(seed)
     frames: list[tuple[int, bool, int]] = []
     released = 0
@@ -102,8 +102,8 @@ def test_a_reading_that_another_frame_of_its_syncs_has_overtaken_counts_for_none
 
 @pytest.mark.parametrize(("held", "grown"), [(20, 70), (20, 85), (40, 75), (67, 75), (67, 90), (67, 100)])
 def test_a_delay_that_grows_by_nearly_a_period_is_no_loss(held: int, grown: int) -> None:
-    """In percent of a period. No reading comes before its SYNC for that, but one does sooner than all before; and
-    where even the shortest is held long, what looks like a loss shows none."""
+    """In percent of a period. No reading comes before its SYNC for that, but one does sooner than all before;
+    and where even the shortest is held long, what looks like a loss shows none."""
     held, grown = PERIOD * held // 100, PERIOD * grown // 100
     for seed in (4, 5, 7):
         rows = placed(come(seed, in_order=True, lost=0.02, held=held, grown=grown))

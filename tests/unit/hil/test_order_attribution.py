@@ -51,6 +51,11 @@ class Rig:
         reading = reading_at(Instant(at), velocity_rad_s=self.speed)
         return self.order.place(replaced(reading, status_told_at=Instant(at // TIMER * TIMER)))
 
+    def comes_again(self, at: int) -> Sample | None:
+        """The last reading, once more."""
+        self.speed -= 1.0
+        return self.comes(at)
+
     def answered(self, number: int, late: int = 0, delay: int = DELAY) -> Sample | None:
         """SYNC ``number`` goes out, and a reading comes ``delay`` after it."""
         self.sync(number, late)
@@ -374,3 +379,18 @@ def test_a_copy_in_the_place_of_a_lost_reading_is_not_confirmed_by_the_answer(co
         rig.answered(number)
         assert number < 22 + HELD_MAX
     assert rig.amended(unusual) == [(22, not copy)]
+
+
+def test_a_reading_behind_a_copy_may_be_of_the_sync_at_which_that_was_placed() -> None:
+    """A copy comes a usual delay after the next SYNC, whose own reading waits until a usual delay after the
+    one behind it."""
+    rig = Rig()
+    for number in range(2, 60):
+        rig.answered(number, delay=DELAY + number % 10 * DELAY // 6)
+    assert rig.comes_again(59 * PERIOD + 3 * DELAY) is None
+    assert placed(rig.answered(60)) == (60, True)
+    rig.sync(61)
+    copy = rig.comes_again(61 * PERIOD + DELAY)
+    assert placed(copy) == (61, False)
+    assert placed(rig.answered(62)) == (62, False)
+    assert placed(rig.answered(63)) == (63, True)
