@@ -34,7 +34,12 @@ from servobench.design.sampled.loss_patterns import (
     worst_gain,
 )
 from servobench.design.sampled.peak_certificate import certify_peak
-from servobench.design.sampled.sequence_certificate import SequenceCertificate, certify_decay, certify_gain
+from servobench.design.sampled.sequence_certificate import (
+    REMEMBERED,
+    SequenceCertificate,
+    certify_decay,
+    certify_gain,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,8 +111,8 @@ def analyse_sampled(model: SpeedModel, K: Array, network: SampledNetwork) -> Sam
     return analyse_loop(HeldLoop(model, np.asarray(K, dtype=float), network))
 
 
-def analyse_loop(loop: SwitchedLoop, remembering: Sequence[bool] = (False, True)) -> SampledAnalysis:
-    """Analyse any loop; ``remembering``: options to try, as for :func:`certify_gain`."""
+def analyse_loop(loop: SwitchedLoop, remembered: Sequence[int] = REMEMBERED) -> SampledAnalysis:
+    """Analyse any loop; ``remembered``: as for :func:`certify_gain`."""
     regular = regular_patterns(loop)
     gains = pattern_gains(loop, regular).tolist()
     slowest = min([slowest_pattern(loop), *regular], key=lambda pattern: pattern.decay_per_s)
@@ -128,8 +133,8 @@ def analyse_loop(loop: SwitchedLoop, remembering: Sequence[bool] = (False, True)
     patterns = [worst.pattern, slowest, *regular]
     decay_proof, gain_proof, why = None, None, ""
     try:
-        decay_proof = certify_decay(loop, patterns, worst.gain, remembering)
-        gain_proof = certify_gain(loop, patterns, worst.gain, remembering)
+        decay_proof = certify_decay(loop, patterns, worst.gain, remembered)
+        gain_proof = certify_gain(loop, patterns, worst.gain, remembered)
     except NoSolution as error:
         why = str(error)
     if not why and (decay_proof is None or gain_proof is None):

@@ -96,7 +96,7 @@ def _sampled(one: HeldLoop, other: HeldLoop, known: list[Pattern]) -> Figures | 
         return None
     try:
         gain_proof = certify_gain(one, patterns, gain, other=other)
-        decay_proof = certify_decay(one, patterns, gain, (False,), other)
+        decay_proof = certify_decay(one, patterns, gain, (0,), other)
     except NoSolution:
         return None
     if gain_proof is None or decay_proof is None:

@@ -41,7 +41,7 @@ from servobench.design.sampled.peak_steps import (
     rest_under_load,
     start_curvature,
 )
-from servobench.design.sampled.sequence_certificate import ways_of
+from servobench.design.sampled.sequence_certificate import memories_of
 from servobench.design.sampled.sequence_graph import Edge, edges_of
 from servobench.design.sampled.sequence_inequalities import (
     Inequalities,
@@ -100,20 +100,22 @@ def certify_peak(
     if only is not None:
         return unswitched_peak(loop, only)
     L = coordinates(loop, patterns, _UNITS_AT * gain)
-    for way in ways_of(loop, (False, True), node_count(loop.network)):
+    for remembered in memories_of(loop, (0, 1), node_count(loop.network)):
         for part in _DECAY_PARTS:
-            norm = _norm(loop, L, way, part * decay_per_s)
+            norm = _norm(loop, L, remembered, part * decay_per_s)
             if norm is not None:
-                wide = _norm(loop, L, way, _WIDE_PART * decay_per_s) or norm
-                return _bound(loop, L, norm, wide, peak_found, way)
+                wide = _norm(loop, L, remembered, _WIDE_PART * decay_per_s) or norm
+                return _bound(loop, L, norm, wide, peak_found, remembered)
     return None
 
 
-def _bound(loop: HeldLoop, L: Array, norm: _Norm, wide: _Norm, peak_found: float, way: bool) -> PeakBound:
+def _bound(
+    loop: HeldLoop, L: Array, norm: _Norm, wide: _Norm, peak_found: float, remembered: int
+) -> PeakBound:
     """Bound by finer and finer balls, until the sets grow too large."""
     best: PeakBound | None = None
     for share in _SHARES:
-        tube = _Tube(loop, L, norm, wide, peak_found, share, way)
+        tube = _Tube(loop, L, norm, wide, peak_found, share, remembered)
         if best is None:
             best = PeakBound(tube.bound_without_hull(), peak_found)
         closed = tube.close()
@@ -125,9 +127,9 @@ def _bound(loop: HeldLoop, L: Array, norm: _Norm, wide: _Norm, peak_found: float
     return best
 
 
-def _norm(loop: HeldLoop, L: Array, way: bool, rate_per_s: float) -> _Norm | None:
+def _norm(loop: HeldLoop, L: Array, remembered: int, rate_per_s: float) -> _Norm | None:
     """Return functions that fall at ``rate_per_s`` or nearly so, and are smallest where the load begins."""
-    nodes, edges = edges_of(loop, L, way)
+    nodes, edges = edges_of(loop, L, remembered)
     system = Inequalities(loop, nodes, edges, L, None)
     n, h = len(loop.model.A), loop.network.period_s
     inverse = np.linalg.inv(L)
@@ -182,7 +184,7 @@ class _Tube:
     """The sets S_i while they grow, for one r."""
 
     def __init__(
-        self, loop: HeldLoop, L: Array, norm: _Norm, wide: _Norm, found: float, share: float, way: bool
+        self, loop: HeldLoop, L: Array, norm: _Norm, wide: _Norm, found: float, share: float, remembered: int
     ) -> None:
         self._loop = loop
         self._norm = norm
@@ -195,7 +197,7 @@ class _Tube:
         size = max(float(np.linalg.norm(L @ (start - self._rest))) for start in self._starts)
         turned = max(float(np.linalg.norm(T @ np.linalg.inv(L), 2)) for T in norm.T)
         target = _CORNERS_SHARE * (1.0 - norm.rho) * self._r / (size * turned)
-        nodes, edges = edges_of(loop, L, way)
+        nodes, edges = edges_of(loop, L, remembered)
         self._instants = self._instants_for(edges, _INSTANTS_SHARE * share * found)
         self._levels = [_loaded(loop, L, edges, factor * target, self._instants) for factor in _COARSER]
         self._edges = self._levels[-1]

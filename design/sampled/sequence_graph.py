@@ -1,6 +1,6 @@
 """The graph of a certificate: nodes, and edges with the corners of every possible step.
 
-A node may remember from which node the last delivery came: then more is proved, with more unknowns. Nodes
+A node may remember from which nodes the last deliveries came: then more is proved, with more unknowns. Nodes
 at which nothing was delivered may be left out: the periods up to the next delivery are then one edge, which
 proves no less, with fewer unknowns.
 """
@@ -53,12 +53,12 @@ class Edge:
 
 
 def edges_of(
-    loop: SwitchedLoop, coordinates: Array, remembering: bool, other: SwitchedLoop | None = None
+    loop: SwitchedLoop, coordinates: Array, remembered: int, other: SwitchedLoop | None = None
 ) -> tuple[int, list[Edge]]:
     """Return the number of nodes, and the edges.
 
-    ``remembering``: nodes know from which node the last delivery came; ``other``: the loop with another
-    rate of the current loop, for every rate between the two.
+    ``remembered``: of so many last deliveries nodes know from which node each came; ``other``: the loop with
+    another rate of the current loop, for every rate between the two.
     """
     plain = []
     for family in families(loop.network):
@@ -80,15 +80,14 @@ def edges_of(
             corners = corners_of(one, family, coordinates, _BEND).between_rates(one, end)
             plain.append(Edge(family.source, family.target, corners, one, _EPSILON_OF_RATES))
     count = node_count(loop.network)
-    if not remembering:
-        return count, plain
+    memories = count**remembered
     edges = []
     for edge in plain:
-        for memory in range(count):
-            kept = edge.source if edge.corners.family.windows else memory
+        for memory in range(memories):
+            kept = (memory * count + edge.source) % memories if edge.corners.family.windows else memory
             source, target = edge.source + count * memory, edge.target + count * kept
             edges.append(replace(edge, source=source, target=target))
-    return _reachable(count * count, edges)
+    return _reachable(count * memories, edges)
 
 
 def between_deliveries(edges: list[Edge]) -> tuple[int, list[Edge]]:

@@ -86,7 +86,7 @@ def predictor_losses(made: PredictorDesign, losses_max: int) -> SampledAnalysis:
     """Analyse a predictor with at most so many losses in a row; patterns are found with the quiet filter's
     gains, then which samples of the worst count as steps of the load."""
     loop = lossy_predictor(made, losses_max)
-    analysis = analyse_loop(loop, (False,))
+    analysis = analyse_loop(loop, (0,))
     patterns = {tuple(losses_of(each)) for each in (analysis.worst.pattern, *analysis.regular)}
     worst = max(sorted(patterns), key=lambda losses: losses_gain(made, losses))
     _, gain = worst_samples(made, worst, losses_max)

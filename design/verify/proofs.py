@@ -35,6 +35,8 @@ EPS = 1.4e-5
 one needs more instants."""
 PARTS_MAX = 64
 """Parts of a flow: two suffice for the loops of docs/control.md, and what is beyond every bound stays so."""
+REMEMBERED_MAX = 5
+"""Samples that nodes may remember, one more than the design's do."""
 BEYOND = "a disturbance within a period reaches beyond every bound"
 
 
@@ -149,16 +151,18 @@ def stretches(loop: RebuiltLoop, matrices: int) -> list[tuple[int, int, int, Reb
     """Return (from, to, idle periods before, step) between nodes at which a sample has just begun to act; of
     uneven periods between all nodes.
 
-    Where there are more matrices than such nodes, they remember from which node that sample's step went out.
+    Where there are more matrices than such nodes, they remember from which nodes the steps of that sample and
+    of as many as needed before it went out.
     """
-    for remembering in (False, True):
+    for remembered in range(REMEMBERED_MAX + 1):
+        memories = loop.count**remembered
         walks = [
             (
                 (step.source, memory),
-                (step.target, (step.source if step.delivers else memory) if remembering else 0),
+                (step.target, (memory * loop.count + step.source) % memories if step.delivers else memory),
                 step,
             )
-            for memory in (range(loop.count) if remembering else (0,))
+            for memory in range(memories)
             for step in loop.steps
         ]
         while True:
@@ -174,6 +178,8 @@ def stretches(loop: RebuiltLoop, matrices: int) -> list[tuple[int, int, int, Reb
             return [(*place, 0, step) for place, (_, _, step) in zip(places, walks, strict=True)]
         if len(delivered) == matrices:
             return list(_between(walks, delivered))
+        if len(delivered) > matrices:
+            break
     raise NotProved(f"{matrices} matrices do not belong to this network")
 
 

@@ -108,7 +108,7 @@ def test_losses_in_a_row_are_certified_and_too_high_a_gain_is_not() -> None:
         return HeldLoop(position_model(bandwidth), feedback(times * gain), network)
 
     slowest = slowest_pattern(loop(1.0))
-    proof = certify_decay(loop(1.0), [slowest], 0.02, (False,))
+    proof = certify_decay(loop(1.0), [slowest], 0.02, (0,))
     assert proof is not None
     assert 0.5 * gain < proof.figure <= slowest.decay_per_s
     assert slowest_pattern(loop(12.0)).decay_per_s < 0.0

@@ -245,10 +245,10 @@ def test_certificates_hold_between_the_delays_of_their_grid(delay_s: float) -> N
     loop = HeldLoop(MODEL, K, net)
     worst = worst_gain(loop, regular_patterns(loop))
     patterns = [worst.pattern, *regular_patterns(loop)]
-    certificate = certify_gain(loop, patterns, worst.gain, remembering=(False,))
+    certificate = certify_gain(loop, patterns, worst.gain, remembered=(0,))
     assert certificate is not None
     draw = np.random.default_rng(3)
-    for edge in between_deliveries(edges_of(loop, np.eye(loop.kept), False)[1])[1]:
+    for edge in between_deliveries(edges_of(loop, np.eye(loop.kept), 0)[1])[1]:
         family, P = edge.corners.family, certificate.P[edge.target]
         for _ in range(60):
             times = np.sort([draw.uniform(window.first_s, window.last_s) for window in family.windows])
