@@ -63,7 +63,7 @@ GROUPS = {
     "bus": [
         *_below("virtual_bus", "frame"),
         *_below("virtual_bus/bus", "controller error_frame error_handling frame_image host_port hub_broker"),
-        *_below("virtual_bus/bus", "hub_client hub_port hub_protocol listener"),
+        *_below("virtual_bus/bus", "hub_client hub_protocol listener"),
     ],
     "device": [
         *_below("virtual_bus/device", "canopen_device heartbeat object_dictionary"),

@@ -26,6 +26,22 @@ typedef struct Arrived {
     bool own;
 } Arrived;
 
+/* Frame, instant, whether it is an own one; the reference to the frame goes into it. */
+static inline PyObject *received_tuple(const Arrived *arrived)
+{
+    PyObject *received = PyTuple_New(3), *at = PyLong_FromLongLong(arrived->at);
+    if (received == NULL || at == NULL) {
+        Py_DecRef((PyObject *)arrived->frame);
+        forget(&received);
+        forget(&at);
+        return NULL;
+    }
+    PyTuple_SetItem(received, 0, (PyObject *)arrived->frame);
+    PyTuple_SetItem(received, 1, at);
+    PyTuple_SetItem(received, 2, PyBool_FromLong(arrived->own));
+    return received;
+}
+
 typedef struct PortWay {
     /* 1: a frame came by `until`, 0: none, -1: an error. Lets time pass. */
     int (*receive)(PyObject *self, int64_t until, Arrived *arrived);

@@ -185,6 +185,7 @@ PyObject *PyObject_VectorcallMethod(PyObject *, PyObject *const *, size_t, PyObj
 PyObject *PyUnicode_FromFormat(const char *, ...);
 PyObject *PyUnicode_FromString(const char *);
 PyObject *PyUnicode_InternFromString(const char *);
+int PyErr_CheckSignals(void);
 void *PyEval_SaveThread(void);
 void PyEval_RestoreThread(void *);
 

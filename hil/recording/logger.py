@@ -84,8 +84,11 @@ def open_keepers(plan: RecordingPlan, review: Review) -> list[Keeper]:
     return keepers
 
 
-_DRAIN_PERIOD_S = 0.1
-"""So often a live view moves; the ring of rows holds a minute of 1 kHz."""
+_MOVING_S, _KEPT_S, _UNKEPT_S = 0.1, 0.2, 1.0
+"""Time between two drains; one costs some milliseconds of a processor however few the rows. So often a live
+view moves, and rings are emptied that simulated time fills fast. In real time so much is missing in the files
+if all processes of a run are killed, and nothing where none are kept; the ring of rows holds two seconds of
+three axes at 10 kHz."""
 _FLUSH_PERIOD_NS = NS_PER_S
 _BUSY_ROWS = 2_000
 """A drain that finds more than this is followed by the next one at once: simulated time is fast."""
@@ -94,6 +97,13 @@ _GROWING = (
 )  # fmt: skip
 """Files that are sealed while they grow; the others are written at the end."""
 _WRITER_DIED = RunOutcome(completed=False, reason="the process of the loop died")
+
+
+def drain_period_s(plan: RecordingPlan) -> float:
+    """Time between two drains of the rings."""
+    if not plan.real_time or plan.view or plan.served is not None:
+        return _MOVING_S
+    return _UNKEPT_S if plan.folder is None else _KEPT_S
 
 
 class Logger:
@@ -140,14 +150,15 @@ class Logger:
     def run(self, source: LineReader) -> Summary:
         """Drain until the outcome comes, or the writer is gone; then finish."""
         outcome: RunOutcome | None = None
-        wait_s = _DRAIN_PERIOD_S
+        period_s = drain_period_s(self._plan)
+        wait_s = period_s
         while outcome is None and not source.ended:
             line = source.line(wait_s)
             if line == CONFIRM:
                 self._confirm()
             elif line is not None:
                 outcome = from_plain(RunOutcome, json.loads(line))
-            wait_s = 0.0 if self._drain() > _BUSY_ROWS else _DRAIN_PERIOD_S
+            wait_s = 0.0 if self._drain() > _BUSY_ROWS else period_s
             if self._clock.now() - self._flushed_at >= _FLUSH_PERIOD_NS:
                 self._flush()
         self._drain(at_end=True)
@@ -282,7 +293,7 @@ def main() -> int:
     source = LineReader(sys.stdin.fileno())
     line = None
     while line is None and not source.ended:
-        line = source.line(_DRAIN_PERIOD_S)
+        line = source.line(_MOVING_S)
     if line is None:
         return 1
     try:

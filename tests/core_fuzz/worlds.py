@@ -64,6 +64,7 @@ from servobench.virtual_bus.drive.power_stage import Inverter
 from servobench.virtual_bus.frame import Frame
 from tests.core_fuzz.devices import devices
 from tests.core_fuzz.fates import ODD, Refused, drawn_judge, odd_number
+from tests.core_fuzz.hub_ends import hub_ends
 from tests.core_fuzz.links import links
 from tests.core_fuzz.machines import drawn_encoder, drawn_mechanism, drawn_path, drawn_sensors
 from tests.core_fuzz.pdos import pdos
@@ -374,5 +375,6 @@ def misuse(draw: random.Random) -> None:
 
 
 WORLDS: Final = (
-    frames, drive, random_runs, misuse, bus, ring, streams, pdos, links, devices, receptions, set_points
+    frames, drive, random_runs, misuse, bus, ring, streams, pdos, links, devices, receptions, set_points,
+    hub_ends,
 )  # fmt: skip

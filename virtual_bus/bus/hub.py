@@ -147,7 +147,7 @@ class HubBus(can.BusABC):
         self.frame_port.close()
 
     def _apply_filters(self, filters: CanFilters | None) -> None:
-        self.frame_port.filters = filters
+        self.frame_port.filter(filters)
 
     def _wait_for_room(self, deadline: Instant) -> bool:
         remaining_ns = deadline - self._clock.now()

@@ -6,32 +6,26 @@ one frame, or as many as fit (a batch) if the client has asked for that, or tell
 """
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from enum import IntEnum
 from typing import Final, NamedTuple
 
 from servobench.drivers.timebase import NS_PER_US, Instant
 from servobench.virtual_bus.bus.controller import ErrorState
 from servobench.virtual_bus.bus.port import Port
+from servobench.virtual_bus.core.native import HUB_FRAME_BYTES, HUB_PACKET_BYTES_MAX, pack_frame, unpack_frame
 from servobench.virtual_bus.frame import Frame
 
 VERSION = 5
-PACKET_BYTES_MAX: Final = 512
-"""Some 17 frames: a packet of the size that the kernel allocates for it in one piece."""
+PACKET_BYTES_MAX: Final = HUB_PACKET_BYTES_MAX
 
 _HELLO = struct.Struct("<4sHHI")
 _HELLO_MAGIC = b"SBhi"
 _WELCOME = struct.Struct("<4sHHIq")
 _WELCOME_MAGIC = b"SBok"
 _REFUSAL_MAGIC = b"SBno"
-_FRAME: Final = struct.Struct("<qqIBB8s")
-FRAME_BYTES: Final = 30
-"""No other record is as long, or a multiple of it."""
+FRAME_BYTES: Final = HUB_FRAME_BYTES
 BATCH_FRAMES_MAX: Final = PACKET_BYTES_MAX // FRAME_BYTES
-
-_EXTENDED: Final = 1
-_REMOTE: Final = 2
-_OWN: Final = 4
 _RECEIVE_OWN, _BATCHES = 1, 2
 
 ECHO_HELD_NS: Final = 350 * NS_PER_US
@@ -54,10 +48,6 @@ class Hello(NamedTuple):
     """True: it wants its own frames back at their end of frame."""
     batches: bool = True
     """True: it takes several frames in one packet, its own frames then up to ``ECHO_HELD_NS`` late."""
-
-
-Record = tuple[int, int, int, int, int, bytes]
-"""A frame as it travels: end of frame, when it was handed over, identifier, flags, DLC, eight bytes."""
 
 
 class Received(NamedTuple):
@@ -120,39 +110,16 @@ def decode_answer(packet: bytes) -> Welcome | str:
 
 def encode_frame(frame: Frame, at: Instant = Instant(0), own: bool = False) -> bytes:  # noqa: B008
     """A frame as one packet."""
-    can_id, data, extended = frame.can_id, frame.data, frame.extended
-    remote, remote_length = frame.remote, frame.remote_length
-    flags = _EXTENDED * extended | _REMOTE * remote | _OWN * own
-    length = remote_length if remote else len(data)
-    return _FRAME.pack(at, frame.handed_at, can_id, flags, length, data)
+    return pack_frame(frame, at, own)
 
 
 def decode_frame(packet: bytes) -> Received:
     """Raises MalformedRecord for a packet that no valid frame encodes to."""
-    if len(packet) != FRAME_BYTES:
-        raise MalformedRecord(f"{len(packet)} bytes are no frame")
-    at, handed_at, can_id, flags, dlc, data = _FRAME.unpack(packet)
-    return Received(frame_of(handed_at, can_id, flags, dlc, data), Instant(at), is_own(flags))
-
-
-def split_batch(packet: bytes) -> Iterator[Record]:
-    """The frames of a packet, for :func:`frame_of`. Raises struct.error for no multiple of FRAME_BYTES."""
-    return _FRAME.iter_unpack(packet)
-
-
-def is_own(flags: int) -> bool:
-    """Return True if a frame with these flags was sent by the receiving client."""
-    return bool(flags & _OWN)
-
-
-def frame_of(handed_at: int, can_id: int, flags: int, dlc: int, data: bytes) -> Frame:
-    """Raises MalformedRecord for what no valid frame encodes to."""
-    extended, remote = bool(flags & _EXTENDED), bool(flags & _REMOTE)
-    if dlc > 8 or can_id >> (29 if extended else 11):
-        raise MalformedRecord(f"identifier 0x{can_id:X}, DLC {dlc}")
-    frame = Frame(can_id, b"", extended, True, dlc) if remote else Frame(can_id, data[:dlc], extended)
-    frame.handed_at = Instant(handed_at)
-    return frame
+    try:
+        frame, at, own = unpack_frame(packet)
+    except ValueError as error:
+        raise MalformedRecord(str(error)) from None
+    return Received(frame, at, own)
 
 
 _REQUEST = struct.Struct("<4sB")

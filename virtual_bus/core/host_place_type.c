@@ -156,19 +156,7 @@ static PyObject *call_receive(PyObject *self, PyObject *until)
     int64_t until_ns;
     Arrived arrived;
     int came = integer(until, &until_ns) ? receive(self, until_ns, &arrived) : -1;
-    if (came <= 0)
-        return came < 0 ? NULL : nothing();
-    PyObject *received = PyTuple_New(3), *at = PyLong_FromLongLong(arrived.at);
-    if (received == NULL || at == NULL) {
-        Py_DecRef((PyObject *)arrived.frame);
-        forget(&received);
-        forget(&at);
-        return NULL;
-    }
-    PyTuple_SetItem(received, 0, (PyObject *)arrived.frame);
-    PyTuple_SetItem(received, 1, at);
-    PyTuple_SetItem(received, 2, PyBool_FromLong(arrived.own));
-    return received;
+    return came < 0 ? NULL : came == 0 ? nothing() : received_tuple(&arrived);
 }
 
 static PyObject *call_transmit(PyObject *self, PyObject *frame)

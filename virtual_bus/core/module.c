@@ -5,6 +5,7 @@
 #include "faults.h"
 #include "frames.h"
 #include "host_place.h"
+#include "hub_record.h"
 #include "pdo_image.h"
 #include "rotation.h"
 #include "types.h"
@@ -68,6 +69,8 @@ static PyMethodDef functions[] = {
     {"clipped", (PyCFunction)(void (*)(void))call_clipped, METH_FASTCALL, NULL},
     {"user_position", (PyCFunction)(void (*)(void))call_user_position, METH_FASTCALL, NULL},
     {"sine_cosine", call_sine_cosine, METH_O, NULL},
+    {"pack_frame", (PyCFunction)(void (*)(void))call_pack_frame, METH_FASTCALL, NULL},
+    {"unpack_frame", call_unpack_frame, METH_O, NULL},
     {"wire_bits", (PyCFunction)(void (*)(void))call_wire_bits, METH_FASTCALL, NULL},
     {0},
 };
@@ -89,6 +92,8 @@ static const ShownNumber shown_numbers[] = {
     {"INTERMISSION_BITS", INTERMISSION_BITS},
     {"TRANSMIT_QUEUE_MAX", TRANSMIT_QUEUE_MAX},
     {"RECEIVE_QUEUE_MAX", RECEIVE_QUEUE_MAX},
+    {"HUB_FRAME_BYTES", HUB_FRAME_BYTES},
+    {"HUB_PACKET_BYTES_MAX", HUB_PACKET_BYTES_MAX},
     {"HELD_MAX", HELD_MAX},
     {"CHECKPOINTS_MAX", CHECKPOINTS_MAX},
     {"BLOCK_ENTRIES", BLOCK_ENTRIES},
@@ -119,6 +124,7 @@ static const ShownType shown_types[] = {
     {&port_spec, "Port", &port_type},
     {&held_spec, "HeldFrames", &held_type},
     {&place_spec, "HostPlace", &place_type},
+    {&hub_end_spec, "HubEnd", NULL},
     {&codec_spec, "PdoCodec", &codec_type},
     {&drive_spec, "CyclicDrive", &drive_type},
     {&device_spec, "CyclicDevice", &device_type},

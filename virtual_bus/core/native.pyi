@@ -1,7 +1,7 @@
 """The core, written in C, as seen from Python; the sources beside this file document it."""
 
 from collections.abc import Callable, Sequence, Sized
-from typing import Any, Protocol, Self
+from typing import Any, NoReturn, Protocol, Self
 
 from servobench.drivers.timebase import Duration, Instant
 from servobench.drivers.wire.frame_port import WireFrame
@@ -23,6 +23,14 @@ def wire_bits(field: int, data: bytes, /) -> int:
     ``field``: the arbitration key (servobench.virtual_bus.bus.frame_image) and below it the four bits of the
     DLC; ``data``: its octets. Error: ValueError for more than eight octets.
     """
+
+def pack_frame(frame: WireFrame, at: Instant, own: bool, /) -> bytes:
+    """A frame as it travels between a hub and its client (hub_record.h); ``at``: its end. Error: ValueError
+    for a frame that cannot be on a bus."""
+
+def unpack_frame(packet: bytes, /) -> tuple[WireFrame, Instant, bool]:
+    """The frame, its end, and whether it is an own one. Error: ValueError for what no valid frame is packed
+    to."""
 
 def clipped(value: float, bits: int, /) -> int:
     """``value`` rounded into a signed integer of 1 to 32 bits. Error: ValueError for NaN."""
@@ -501,6 +509,10 @@ INTERMISSION_BITS: int
 """Recessive bits between the end of a frame and the next start of frame."""
 TRANSMIT_QUEUE_MAX: int
 RECEIVE_QUEUE_MAX: int
+HUB_FRAME_BYTES: int
+"""Of a frame between a hub and its client (hub_record.h); no other packet is as long, or a multiple of it."""
+HUB_PACKET_BYTES_MAX: int
+"""Some 17 frames: a packet of the size that the kernel allocates for it in one piece."""
 HELD_MAX: int
 CHECKPOINTS_MAX: int
 
@@ -1119,3 +1131,43 @@ class HostPlace:
 
     def on_sent(self, frame: WireFrame, now: Instant, /) -> None:
         """An own frame ended at ``now``: it meets no fault."""
+
+class HubEndOwner(Protocol):
+    """Told what is rare at a client's end of a hub; what it raises comes out of the call that let it be."""
+
+    def note(self, packet: bytes, /) -> None:
+        """Take a packet that is no frame."""
+
+    def failed(self, error: int, /) -> NoReturn:
+        """Raise: the system refused to receive or to send. 0: the other end is closed, or this one."""
+
+    def check_state(self) -> None:
+        """Called after each frame sent while ``bus_off``."""
+
+class HubEnd:
+    """A client's end of its connection to a hub, a non-blocking socket that keeps packets apart; see
+    hub_end_type.c. It is closed by who opened it, and told of that by :meth:`close`.
+
+    While one thread waits, others may call all but :meth:`receive`.
+    """
+
+    def __init__(self, descriptor: int, owner: HubEndOwner, /) -> None: ...
+    accepts: Callable[[WireFrame], bool] | None
+    """Acceptance filter."""
+    bus_off: bool
+    """The controller was last told to be bus-off."""
+    @property
+    def way(self) -> object:
+        """A capsule by which C of another room receives and transmits (design/core/frames.h)."""
+
+    def receive(self, until: Instant, /) -> tuple[WireFrame, Instant, bool] | None:
+        """The next frame, its instant, and whether it is an own one; None at ``until`` (CLOCK_MONOTONIC)."""
+
+    def transmit(self, frame: WireFrame, /) -> None:
+        """Hand ``frame`` to the hub, without waiting."""
+
+    def take_in(self, until: Instant, /) -> None:
+        """Wait for packets, at most until ``until``, and take in what is there: frames are kept."""
+
+    def close(self) -> None:
+        """The socket is closed."""

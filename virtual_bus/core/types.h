@@ -11,6 +11,7 @@ extern PyType_Spec codec_spec;
 extern PyType_Spec device_spec, drive_spec, tpdo_spec, rpdo_spec, sync_spec, timer_spec, device_clock_spec;
 extern PyType_Spec seat_spec;
 extern PyType_Spec numbers_spec, strike_spec, hold_spec;
+extern PyType_Spec hub_end_spec;
 extern PyType_Spec queue_spec, route_spec, block_spec, fates_spec;
 
 extern PyTypeObject *frame_type; /* of the core of drivers */

@@ -1,6 +1,7 @@
 """What the logger hands to those that keep something, and when."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -8,7 +9,7 @@ from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from servobench.hil.loop.cycle_record import ROW
 from servobench.hil.recording.log_files import Keeper
 from servobench.hil.recording.logger import Logger
-from servobench.hil.rows.recording_plan import PlannedSetPoint
+from servobench.hil.rows.recording_plan import PlannedSetPoint, ServedPorts
 from servobench.hil.rows.side_rows import (
     FRAME,
     BeginEvent,
@@ -54,6 +55,34 @@ def test_a_drain_that_found_much_is_followed_by_the_next_at_once(
     summary, told = log(rings, source)
     assert source.waits == [0.1, wait_s, 0.1]
     assert (kept.rows, summary.cycles, told) == (count, count, [])
+
+
+@pytest.mark.parametrize(
+    ("view", "served", "files", "wait_s"),
+    [
+        (False, None, False, 1.0),
+        (False, None, True, 0.2),
+        (True, None, False, 0.1),
+        (True, None, True, 0.1),
+        (False, ServedPorts(0, 0), True, 0.1),
+    ],
+)
+def test_in_real_time_it_drains_more_rarely_unless_somebody_looks_on(
+    rings: Rings,
+    kept: Kept,
+    clock: Clock,
+    tmp_path: Path,
+    view: bool,
+    served: ServedPorts | None,
+    files: bool,
+    wait_s: float,
+) -> None:
+    folder = tmp_path if files else None
+    plan = replace(NOTHING_KEPT, real_time=True, view=view, served=served, folder=folder)
+    source = Input(clock, [None, OUTCOME])
+    log(rings, source, plan)
+    assert source.waits == [wait_s, wait_s]
+    assert kept.calls.count("take") == 3
 
 
 @pytest.mark.parametrize(("step_s", "flushes"), [(0.1, 1), (0.25, 2), (0.24, 1), (1.0, 5), (0.999, 3)])

@@ -1,13 +1,18 @@
 """The hub's records: what is encoded is decoded, and nothing else is."""
 
 import random
-import struct
+import socket
+from collections import deque
+from collections.abc import Iterator
+from itertools import repeat
+from typing import NoReturn
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from servobench.drivers.timebase import Instant
+from servobench.drivers.timebase import NEVER, Instant, MonotonicClock
+from servobench.drivers.wire.frame_port import UNTOLD
 from servobench.virtual_bus.bus.hub_protocol import (
     BATCH_FRAMES_MAX,
     FRAME_BYTES,
@@ -25,12 +30,11 @@ from servobench.virtual_bus.bus.hub_protocol import (
     encode_request,
     encode_status,
     encode_welcome,
-    frame_of,
-    is_own,
-    split_batch,
 )
 from servobench.virtual_bus.bus.port import Listener
 from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.core.native import HubEnd
+from servobench.virtual_bus.frame import Frame
 from servobench.virtual_bus.timeline import Timeline
 from tests.unit.virtual_bus.can_reference import random_frame
 
@@ -59,32 +63,126 @@ def test_any_bytes_are_a_valid_frame_or_malformed(packet: bytes) -> None:
     assert frame.remote_length <= 8
 
 
-def received(packet: bytes) -> list[Received]:
-    """As a client takes a batch apart."""
-    return [
-        Received(frame_of(handed_at, can_id, flags, dlc, data), Instant(at), is_own(flags))
-        for at, handed_at, can_id, flags, dlc, data in split_batch(packet)
-    ]
+class Told:
+    """Of a client's end: packets that are no frames, and failures by the system's number."""
+
+    def __init__(self) -> None:
+        self.packets: list[bytes] = []
+        self.asked = 0
+
+    def note(self, packet: bytes) -> None:
+        self.packets.append(packet)
+
+    def failed(self, error: int) -> NoReturn:
+        raise OSError(error, "told")
+
+    def check_state(self) -> None:
+        self.asked += 1
+
+
+class Connection:
+    """The broker's socket of a connection, and the client's end."""
+
+    def __init__(self) -> None:
+        self.broker, self._client = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._client.setblocking(False)
+        self.told = Told()
+        self.end = HubEnd(self._client.fileno(), self.told)
+
+    def received(self) -> list[Received]:
+        """All that is there."""
+        frames = []
+        while (received := self.end.receive(MonotonicClock().now())) is not None:
+            frames.append(Received(*received))
+        return frames
+
+    def close(self) -> None:
+        self.broker.close()
+        self._client.close()
+
+
+@pytest.fixture(scope="module")
+def connection() -> Iterator[Connection]:
+    """One for all drawn packets: each test takes out all that it put in."""
+    connection = Connection()
+    yield connection
+    connection.close()
 
 
 @EXAMPLES
 @given(st.lists(st.tuples(st.integers(0, 1 << 20), st.integers(0, (1 << 63) - 1), st.booleans()), min_size=1))
-def test_a_batch_is_its_frames_in_order(records: list[tuple[int, int, bool]]) -> None:
+def test_a_batch_is_its_frames_in_order(connection: Connection, records: list[tuple[int, int, bool]]) -> None:
     sent = [Received(random_frame(random.Random(seed)), Instant(at), own) for seed, at, own in records]
-    assert received(b"".join(encode_frame(*each) for each in sent)) == sent
+    for first in range(0, len(sent), BATCH_FRAMES_MAX):
+        connection.broker.send(b"".join(encode_frame(*each) for each in sent[first:][:BATCH_FRAMES_MAX]))
+    assert connection.received() == sent
+    assert [each.frame.handed_at for each in sent] == [UNTOLD] * len(sent)
 
 
 @EXAMPLES
-@given(st.binary(max_size=5 * FRAME_BYTES))
-def test_any_bytes_are_a_batch_of_valid_frames_or_malformed(packet: bytes) -> None:
+@given(st.binary(min_size=1, max_size=5 * FRAME_BYTES))
+def test_any_bytes_are_a_batch_of_valid_frames_or_malformed_or_no_frames(
+    connection: Connection, packet: bytes
+) -> None:
     parts = [packet[start : start + FRAME_BYTES] for start in range(0, len(packet), FRAME_BYTES)]
-    try:
-        frames = received(packet)
-    except (MalformedRecord, struct.error):
-        with pytest.raises(MalformedRecord):
-            [decode_frame(part) for part in parts]
-    else:
-        assert frames == [decode_frame(part) for part in parts]
+    connection.broker.send(packet)
+    frames, malformed = [], 0
+    while True:
+        try:
+            frames += connection.received()
+        except ValueError:
+            malformed += 1
+        else:
+            break
+    if len(packet) % FRAME_BYTES:
+        assert (connection.told.packets.pop(), frames, malformed) == (packet, [], 0)
+        return
+    assert not connection.told.packets
+    for part in parts:
+        try:
+            decode_frame(part)
+        except MalformedRecord:
+            malformed -= 1
+    assert not malformed
+
+
+def test_what_came_before_the_broker_closed_is_handed_on() -> None:
+    connection = Connection()
+    connection.broker.send(encode_frame(Frame(0x181), Instant(5)))
+    connection.broker.send(b"a status")
+    connection.broker.close()
+    assert connection.end.receive(NEVER) == (Frame(0x181), 5, False)
+    assert connection.told.packets == [b"a status"]
+    for _ in range(2):
+        with pytest.raises(OSError, match=r"\[Errno 0\]"):
+            connection.end.receive(NEVER)
+    with pytest.raises(BrokenPipeError):
+        connection.end.transmit(Frame(1))
+    connection.end.close()
+    with pytest.raises(OSError, match=r"\[Errno 0\]"):
+        connection.end.transmit(Frame(1))
+    connection.close()
+
+
+def test_only_frames_that_the_filter_accepts_are_handed_on(connection: Connection) -> None:
+    connection.end.accepts = lambda frame: frame.can_id % 2 == 0
+    connection.broker.send(b"".join(encode_frame(Frame(number)) for number in range(5)))
+    assert [received.frame.can_id for received in connection.received()] == [0, 2, 4]
+    connection.end.accepts = None
+    connection.broker.send(encode_frame(Frame(1)))
+    assert [received.frame.can_id for received in connection.received()] == [1]
+
+
+def test_sending_is_refused_once_the_socket_is_full_and_asks_for_the_state_while_bus_off() -> None:
+    connection = Connection()
+    connection.end.transmit(Frame(0x201, b"1"))
+    assert (decode_frame(connection.broker.recv(64)).frame, connection.told.asked) == (Frame(0x201, b"1"), 0)
+    connection.end.bus_off = True
+    connection.end.transmit(Frame(0x201))
+    assert connection.told.asked == 1
+    with pytest.raises(BlockingIOError):
+        deque(map(connection.end.transmit, repeat(Frame(0x201))), maxlen=0)
+    connection.close()
 
 
 def test_a_full_batch_is_a_packet_and_no_request_or_answer_is_as_long_as_frames() -> None:
