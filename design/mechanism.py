@@ -9,7 +9,6 @@ From motor torque to motor speed the load is a notch at w_a, and the rotor swing
 """
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -81,6 +80,14 @@ class Friction:
     side: Side = Side.MOTOR
     load_share: float = 0.0
     """Coulomb friction, of both ways, that each N m of the load torque adds: a gear's."""
+    bristle_nm_rad: float = 0.0
+    """Stiffness of bristles that bend before they slip (LuGre); 0: friction goes by the speed alone."""
+    bristle_damping_ratio: float = 1.0
+    """Of the oscillation, on its bristles, of the mass that rubs."""
+
+    def bristle_nm_s(self, rubbed_kg_m2: float) -> float:
+        """Damping of the bristles, N m per rad/s, of a mass with that inertia."""
+        return 2.0 * self.bristle_damping_ratio * math.sqrt(self.bristle_nm_rad * rubbed_kg_m2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,23 +190,37 @@ class Mechanism:
     cogging: tuple[CoggingHarmonic, ...] = ()
     load: PlacedLoad | None = None
     switches: Switches | None = None
+    cogging_points_nm: tuple[float, ...] = ()
+    """Instead of harmonics: torque at angles that divide a turn evenly, from 0 on, straight between them."""
 
     def load_kg_m2(self, inertia_kg_m2: float) -> float:
         """Inertia behind the coupling; without one, all of it."""
         return inertia_kg_m2 if self.coupling is None else self.coupling.load_kg_m2
 
+    def rubbed_kg_m2(self, inertia_kg_m2: float) -> float:
+        """Inertia of the mass that the friction acts on."""
+        if self.coupling is None or self.friction is None:
+            return inertia_kg_m2
+        shaft = self.coupling
+        return shaft.load_kg_m2 if self.friction.side is Side.LOAD else shaft.motor_kg_m2
+
     def fastest_hz(self, inertia_kg_m2: float) -> float:
-        """The highest frequency at which something swings, over the coupling or on an end stop; 0: none."""
-        squares = [0.0]
+        """The highest frequency at which something swings, over the coupling, on an end stop or on bristles;
+        0: none."""
         stops = None if self.load is None else self.load.stops
-        stop_nm_rad = 0.0 if stops is None else stops.stiffness_nm_rad
-        if self.coupling is not None:
-            shaft = self.coupling
-            load = (shaft.stiffness_nm_rad + stop_nm_rad) / shaft.load_kg_m2
-            squares.append(load + shaft.stiffness_nm_rad / shaft.motor_kg_m2)
-        elif stops is not None:
-            squares.append(stop_nm_rad / inertia_kg_m2)
-        return math.sqrt(max(squares)) / math.tau
+        load_nm_rad = 0.0 if stops is None else stops.stiffness_nm_rad
+        rotor_nm_rad = 0.0
+        if self.friction is not None and self.friction.side is Side.LOAD:
+            load_nm_rad += self.friction.bristle_nm_rad
+        elif self.friction is not None:
+            rotor_nm_rad = self.friction.bristle_nm_rad
+        shaft = self.coupling
+        if shaft is None:
+            square = (load_nm_rad + rotor_nm_rad) / inertia_kg_m2
+        else:
+            square = (shaft.stiffness_nm_rad + load_nm_rad) / shaft.load_kg_m2
+            square += (shaft.stiffness_nm_rad + rotor_nm_rad) / shaft.motor_kg_m2
+        return math.sqrt(square) / math.tau
 
 
 def friction_nm(friction: Friction, coulomb_nm: float, viscous_nm_s: float, speed_rad_s: Array) -> Array:
@@ -219,9 +240,12 @@ def speed_responses(coupling: Coupling, frequency_hz: Array) -> tuple[Complex, C
     return s * load / below, s * spring / below
 
 
-def cogging_nm(harmonics: Iterable[CoggingHarmonic], angle_rad: Array) -> Array:
+def cogging_nm(mechanism: Mechanism, angle_rad: Array) -> Array:
     """The torque (k,) in N m at k angles of the rotor."""
+    points = mechanism.cogging_points_nm
+    if points:
+        return np.interp(angle_rad / math.tau * len(points), np.arange(len(points) + 1), (*points, points[0]))
     total = np.zeros_like(angle_rad)
-    for each in harmonics:
+    for each in mechanism.cogging:
         total += each.torque_nm * np.sin(each.per_turn * angle_rad + each.phase_rad)
     return total

@@ -54,6 +54,7 @@ class Heat:
     resistance_factor: float
     flux_factor: float
     winding_c: float = 20.0
+    viscous_factor: float = 1.0
 
 
 UNHEATED: Final = Heat(1.0, 1.0)
@@ -173,8 +174,11 @@ def mechanism_figures(motor: PmsmParameters) -> dict[str, float]:
             figures["backlash_arcmin"] = math.degrees(coupling.backlash_rad) * 60.0
     if (friction := mechanism.friction) is not None:
         figures["breakaway_percent_of_rated"] = 100.0 * friction.breakaway_nm / motor.rated_torque_nm
-    if mechanism.cogging:
+        if friction.bristle_nm_rad:
+            figures["bristles_slip_after_mrad"] = 1e3 * friction.breakaway_nm / friction.bristle_nm_rad
+    if mechanism.cogging or mechanism.cogging_points_nm:
         peak_nm = sum(harmonic.torque_nm for harmonic in mechanism.cogging)
+        peak_nm += max(map(abs, mechanism.cogging_points_nm), default=0.0)
         figures["cogging_percent_of_rated"] = 100.0 * peak_nm / motor.rated_torque_nm
     return figures | _load_figures(motor, mechanism)
 

@@ -1,14 +1,14 @@
 """Motor files: the parameters of a PMSM in TOML, turned into
 :class:`servobench.design.motor.PmsmParameters`, and the mechanism between rotor and load: ``[coupling]``,
-``[friction]``, ``[[cogging]]``, ``[load]`` and ``[switches]``; ``[saturation]`` and ``[temperature]`` are in
-:mod:`servobench.hil.configuration.motor_tables`, and ``[twin]``, in
+``[friction]``, ``[[cogging]]``, ``[cogging_by_angle]``, ``[load]`` and ``[switches]``; ``[saturation]`` and
+``[temperature]`` are in :mod:`servobench.hil.configuration.motor_tables`, and ``[twin]``, in
 :mod:`servobench.hil.configuration.twin_table`, says what all of it rests on.
 """
 
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
@@ -32,6 +32,7 @@ from servobench.hil.configuration.quantities import (
     Inductance,
     Inertia,
     Resistance,
+    SignedTorque,
     Speed,
     Stiffness,
     Torque,
@@ -118,6 +119,12 @@ class FrictionTable(Section):
     load_percent: float = Field(
         default=0.0, ge=0.0, le=100.0, description="of the load torque, what it adds to Coulomb friction"
     )
+    bristle_nm_rad: Stiffness | None = Field(
+        default=None, description="stiffness of bristles that bend before they slip (LuGre), N m/rad"
+    )
+    bristle_damping_ratio: float = Field(
+        default=1.0, ge=0.0, le=2.0, description="of the mass that rubs, on its bristles"
+    )
 
     def friction(self, coulomb_nm: float) -> Friction:
         """Beside that Coulomb friction. Error: ValueError for a start that takes less than the motion."""
@@ -125,8 +132,17 @@ class FrictionTable(Section):
         if breakaway_nm < coulomb_nm:
             raise ValueError(f"breakaway_nm of at least mechanics.coulomb_friction_nm, {coulomb_nm:g} N m")
         backward_nm = coulomb_nm if self.backward_nm is None else self.backward_nm
-        side, share = Side(self.side), 0.01 * self.load_percent
-        return Friction(breakaway_nm, self.stribeck_rpm * RAD_S_PER_RPM, backward_nm, side, share)
+        if self.bristle_nm_rad and breakaway_nm - coulomb_nm + min(coulomb_nm, backward_nm) <= 0.0:
+            raise ValueError("bristle_nm_rad with friction either way: breakaway_nm above 0")
+        return Friction(
+            breakaway_nm,
+            self.stribeck_rpm * RAD_S_PER_RPM,
+            backward_nm,
+            Side(self.side),
+            0.01 * self.load_percent,
+            self.bristle_nm_rad or 0.0,
+            self.bristle_damping_ratio,
+        )
 
 
 class CoggingTable(Section):
@@ -141,10 +157,23 @@ class CoggingTable(Section):
         return CoggingHarmonic(self.per_turn, self.torque_nm, math.radians(self.phase_deg))
 
 
+class CoggingPointsTable(Section):
+    """``[cogging_by_angle]``: the same as a table, instead of harmonics."""
+
+    torque_nm: Annotated[tuple[SignedTorque, ...], Field(strict=False, min_length=2, max_length=4096)]
+    """At angles that divide a period evenly, from 0 on, straight between them, N m."""
+    per_turn: int = Field(default=1, ge=1, le=1000, description="periods in a turn of the rotor")
+
+    @property
+    def points_nm(self) -> tuple[float, ...]:
+        """Over a whole turn."""
+        return self.per_turn * self.torque_nm
+
+
 def mechanism_of(
     coupling: CouplingTable | None,
     friction: FrictionTable | None,
-    cogging: list[CoggingTable] | None,
+    cogging: list[CoggingTable] | CoggingPointsTable | None,
     load: LoadTables | None,
     switches: SwitchesTable | None,
     inertia_kg_m2: float,
@@ -158,9 +187,10 @@ def mechanism_of(
     return Mechanism(
         None if coupling is None else coupling.coupling(inertia_kg_m2),
         None if friction is None else friction.friction(coulomb_nm),
-        tuple(one.harmonic for one in cogging or ()),
+        () if isinstance(cogging, CoggingPointsTable) else tuple(one.harmonic for one in cogging or ()),
         None if load is None else load.load,
         None if switches is None else switches.switches,
+        cogging.points_nm if isinstance(cogging, CoggingPointsTable) else (),
     )
 
 
@@ -207,6 +237,9 @@ class MotorFile(FromPreset):
     coupling: CouplingTable | None = Field(default=None, description="the table [coupling]")
     friction: FrictionTable | None = Field(default=None, description="the table [friction]")
     cogging: list[CoggingTable] | None = Field(default=None, description="the tables [[cogging]]")
+    cogging_by_angle: CoggingPointsTable | None = Field(
+        default=None, description="the table [cogging_by_angle], instead of [[cogging]]"
+    )
     load: LoadTables | None = Field(default=None, description="the table [load]")
     switches: SwitchesTable | None = Field(default=None, description="the table [switches]")
     saturation: SaturationTable | None = Field(default=None, description="the table [saturation]")
@@ -233,10 +266,24 @@ class MotorFile(FromPreset):
         cls, friction: FrictionTable | None, found: ValidationInfo
     ) -> FrictionTable | None:
         if friction is not None and "mechanics" in found.data:
-            friction.friction(found.data["mechanics"].coulomb_friction_nm)
+            mechanics, coupling = found.data["mechanics"], found.data.get("coupling")
+            rubs = friction.friction(mechanics.coulomb_friction_nm)
+            shaft = None if coupling is None else coupling.coupling(mechanics.inertia_kg_m2)
+            fastest_hz = Mechanism(shaft, rubs).fastest_hz(mechanics.inertia_kg_m2)
+            if fastest_hz > RESONANCE_MAX_HZ:
+                raise ValueError(_too_fast("bristle_nm_rad with a frequency on the bristles", fastest_hz))
         if friction is not None and friction.side == "load" and found.data.get("coupling") is None:
             raise ValueError("side 'motor', or a table [coupling]")
         return friction
+
+    @field_validator("cogging_by_angle")
+    @classmethod
+    def _one_cogging(
+        cls, cogging: CoggingPointsTable | None, found: ValidationInfo
+    ) -> CoggingPointsTable | None:
+        if cogging is not None and found.data.get("cogging"):
+            raise ValueError("either [[cogging]] or [cogging_by_angle]")
+        return cogging
 
     @field_validator("load")
     @classmethod
@@ -245,7 +292,9 @@ class MotorFile(FromPreset):
             return load
         inertia_kg_m2, coupling = found.data["mechanics"].inertia_kg_m2, found.data.get("coupling")
         shaft = None if coupling is None else coupling.coupling(inertia_kg_m2)
-        fastest_hz = Mechanism(shaft, load=load.load).fastest_hz(inertia_kg_m2)
+        friction = found.data.get("friction")
+        rubs = None if friction is None else friction.friction(found.data["mechanics"].coulomb_friction_nm)
+        fastest_hz = Mechanism(shaft, rubs, load=load.load).fastest_hz(inertia_kg_m2)
         if fastest_hz > RESONANCE_MAX_HZ:
             raise ValueError(_too_fast("end_stops.stiffness_nm_rad with a frequency on the stop", fastest_hz))
         return load
@@ -267,7 +316,7 @@ class MotorFile(FromPreset):
         return mechanism_of(
             self.coupling,
             self.friction,
-            self.cogging,
+            self.cogging or self.cogging_by_angle,
             self.load,
             self.switches,
             mechanics.inertia_kg_m2,

@@ -201,6 +201,21 @@ class TemperatureTable(Section):
     magnet_percent_k: float = Field(
         default=-0.12, ge=-1.0, le=0.0, description="what the flux changes by a kelvin, %"
     )
+    bearing_c: Celsius | None = Field(default=None, description="of bearings and gear; absent: sheet_c")
+    viscous_percent_k: float = Field(
+        default=-1.0, ge=-4.0, le=0.0, description="what viscous friction changes by a kelvin, %"
+    )
+
+    @model_validator(mode="after")
+    def _rubs_still(self) -> Self:
+        if self._viscous_factor < 0.0:
+            raise ValueError("viscous_percent_k that leaves viscous friction at bearing_c")
+        return self
+
+    @property
+    def _viscous_factor(self) -> float:
+        warmer_k = 0.0 if self.bearing_c is None else self.bearing_c - self.sheet_c
+        return 1.0 + self.viscous_percent_k / 100.0 * warmer_k
 
     @property
     def heat(self) -> Heat:
@@ -208,4 +223,5 @@ class TemperatureTable(Section):
             at_temperature(1.0, self.sheet_c, self.winding_c),
             1.0 + self.magnet_percent_k / 100.0 * (self.magnet_c - self.sheet_c),
             self.winding_c,
+            self._viscous_factor,
         )

@@ -272,10 +272,14 @@ def test_breakaway_holds_the_shaft_and_lets_go_beyond() -> None:
         assert (plant.speed_rad_s != 0.0) is moves
 
 
-def test_cogging_is_seen_in_the_spectrum_of_the_speed() -> None:
+@pytest.mark.parametrize("by_angle", [False, True])
+def test_cogging_is_seen_in_the_spectrum_of_the_speed(by_angle: bool) -> None:
     """The ripple of order n is amplitude / (J n w), as speed over time, its phase a quarter behind."""
     harmonics = (CoggingHarmonic(8, 0.02), CoggingHarmonic(24, 0.05, 0.6))
-    plant = plant_of(Mechanism(cogging=harmonics))
+    angle = np.arange(2880) * math.tau / 2880
+    points = tuple(0.02 * np.sin(8 * angle) + 0.05 * np.sin(24 * angle + 0.6)) if by_angle else ()
+    mechanism = Mechanism(cogging_points_nm=points) if by_angle else Mechanism(cogging=harmonics)
+    plant = plant_of(mechanism)
     speed_rad_s = math.tau * 20.0
     plant.spin(speed_rad_s)
     speeds = []

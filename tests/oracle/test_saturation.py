@@ -191,6 +191,21 @@ def test_a_hot_motor_has_more_resistance_and_less_flux_than_its_drive_believes()
     assert turning.speed_rad_s == pytest.approx(no_load / heat.flux_factor, rel=0.01)
 
 
+@pytest.mark.parametrize("factor", [1.6, 0.4])
+def test_bearings_that_are_cold_or_warm_ask_for_their_torque(factor: float) -> None:
+    """The drive feels it, and reckons with that of the sheet."""
+    motor = replace(LING, heat=Heat(1.0, 1.0, 20.0, factor))
+    firmware = started(motor, FirmwareParameters())
+    firmware.control(InnerControl.SPEED)
+    firmware.ramp_to_speed(100.0, 1000.0)
+    told = []
+    for tick in range(1600):
+        at(firmware, 1.4 + tick / 16_000)
+        told.append(firmware.inner.torque_measured_nm)
+    expected = factor * LING.viscous_friction_nm_s * 100.0
+    assert sum(told) / len(told) == pytest.approx(expected, rel=0.02)
+
+
 SATURATION = {"torque_percent": 90.0}
 TEMPERATURE = {"winding_c": 120.0, "magnet_c": 80.0}
 

@@ -7,7 +7,8 @@
 
    Friction at the speed w: (c + (b - c) / (1 + (w / w_s)^2)) sign w, Coulomb's c, breakaway b: Stribeck's curve
    without an exponential, so that its bits are the same everywhere. A mass at rest stays until what pulls at it
-   exceeds b. */
+   exceeds b. With bristles (LuGre) that curve, g, is what they bear while they slip:
+   dz/dt = w - k |w| / g(w) z, friction k z + d dz/dt; then nothing rests, and no step is cut for it. */
 #include "mechanism.h"
 
 #include <math.h>
@@ -19,7 +20,7 @@
 
 static const double PER_TURN = 1.0 / TURN_RAD;
 static const double BELOW_TURN_RAD = 0x1.921fb54442d17p+2; /* the next double below 2 pi */
-static const double SIXTH = 1.0 / 6.0;
+static const double SIXTH = 1.0 / 6.0, THIRD = 1.0 / 3.0, TWO_THIRDS = 2.0 / 3.0;
 
 /* A step is cut at most so often: then it is finished as it is. */
 enum { CUTS_MAX = 16 };
@@ -62,6 +63,9 @@ typedef struct Machine {
     const Mechanism *m;
     Friction friction[MASSES];
     bool rubs[MASSES];
+    bool bristles; /* of the mass `brushed`; they bear `bristled` */
+    int brushed;
+    Friction bristled;
     bool changes; /* something can come to rest, or let go */
     bool falls;   /* friction with the speed */
     bool placed;  /* the place of the load asks for a torque, or its end stops do */
@@ -121,8 +125,9 @@ static Pair onto(const Machine *s, double rotor_nm, double load_nm)
 
 /* What goes by the places of rotor and load, and by the speed of a load in a table. */
 typedef struct Sited {
-    double cogs_nm; /* of the rotor */
-    Asked asked;    /* of the load */
+    double cogs_nm;     /* of the rotor */
+    Asked asked;        /* of the load */
+    double bristle_rad; /* of the friction: goes by all the way before */
 } Sited;
 
 /* At an angle of the rotor and one of the load, both from the start of the period. */
@@ -142,6 +147,31 @@ static double asked_nm(const Machine *s, const Sited *sited)
 }
 
 static Pair sited_nm(const Machine *s, const Sited *sited) { return onto(s, sited->cogs_nm, -asked_nm(s, sited)); }
+
+/* How fast bent bristles slip at a speed, 1/s: what they bear is never 0. */
+static double slipping(const Machine *s, double speed)
+{
+    const Friction *f = &s->bristled;
+    double slip = speed * s->m->per_stribeck, coulomb_nm = speed > 0.0 ? f->forward_nm : f->backward_nm;
+    return s->m->bristle_nm_rad * fabs(speed) / (coulomb_nm + f->breakaway_more_nm / (1.0 + slip * slip));
+}
+
+/* By which bristles are bent after h seconds at a mean speed: the exponential of their equation as a ratio of
+   polynomials, which is stable however fast they slip. */
+static double bent(const Machine *s, double bristle_rad, double speed, double h)
+{
+    double x = slipping(s, speed) * h;
+    double rest = (1.0 - THIRD * x) * bristle_rad + (1.0 + SIXTH * x) * h * speed;
+    return rest / (1.0 + x * (TWO_THIRDS + SIXTH * x));
+}
+
+/* Torques with what bristles bent so far bear. */
+static Pair brushed_nm(const Machine *s, Pair sited, double bristle_rad, const Motion *x)
+{
+    double speed = x->speed[s->brushed], bends = speed - slipping(s, speed) * bristle_rad;
+    sited[s->brushed] -= s->m->bristle_nm_rad * bristle_rad + s->m->bristle_nm_s * bends;
+    return sited;
+}
 
 /* Of the end stop that the load is at. */
 static __attribute__((noinline)) Pair stop_nm(const Machine *s, const Phase *phase, const Motion *x)
@@ -193,7 +223,8 @@ static __attribute__((noinline)) void look_ahead(const Machine *s, const Phase *
 {
     Sited from = *sited, middle = {0};
     sites->start = sited_nm(s, &from);
-    Pair faster = acceleration(s, phase, x, sites->start, s->p->saturation.active);
+    Pair start = s->bristles ? brushed_nm(s, sites->start, from.bristle_rad, x) : sites->start;
+    Pair faster = acceleration(s, phase, x, start, s->p->saturation.active);
     Pair way = h * (x->speed + 0.5 * h * faster), half = 0.5 * h * (x->speed + 0.25 * h * faster);
     int last = s->m->coupled ? LOAD : ROTOR;
     double load_rad = load_angle(s, x);
@@ -217,31 +248,66 @@ ALWAYS_INLINE Motion ahead(const Motion *x, const Motion *k, double h)
     };
 }
 
+/* x + h times the mean of Runge's and Kutta's slopes */
+ALWAYS_INLINE Motion after(const Motion *x, const Motion k[4], double h)
+{
+    double w = h * SIXTH;
+    return (Motion){
+        .current = x->current + w * (k[0].current + 2.0 * (k[1].current + k[2].current) + k[3].current),
+        .voltage = x->voltage + w * (k[0].voltage + 2.0 * (k[1].voltage + k[2].voltage) + k[3].voltage),
+        .speed = x->speed + w * (k[0].speed + 2.0 * (k[1].speed + k[2].speed) + k[3].speed),
+        .place = x->place + w * (k[0].place + 2.0 * (k[1].place + k[2].place) + k[3].place),
+    };
+}
+
 /* One classical step of fourth order, h seconds. */
 ALWAYS_INLINE void step_of(const Machine *s, const Phase *phase, const Motion *x, double h, const Sites *sites,
                            bool saturates, Motion *new)
 {
-    Motion k1 = slopes(s, phase, x, sites->start, saturates);
-    Motion x2 = ahead(x, &k1, 0.5 * h);
-    Motion k2 = slopes(s, phase, &x2, sites->middle, saturates);
-    Motion x3 = ahead(x, &k2, 0.5 * h);
-    Motion k3 = slopes(s, phase, &x3, sites->middle, saturates);
-    Motion x4 = ahead(x, &k3, h);
-    Motion k4 = slopes(s, phase, &x4, sites->end, saturates);
-    double w = h * SIXTH;
-    new->current = x->current + w * (k1.current + 2.0 * (k2.current + k3.current) + k4.current);
-    new->voltage = x->voltage + w * (k1.voltage + 2.0 * (k2.voltage + k3.voltage) + k4.voltage);
-    new->speed = x->speed + w * (k1.speed + 2.0 * (k2.speed + k3.speed) + k4.speed);
-    new->place = x->place + w * (k1.place + 2.0 * (k2.place + k3.place) + k4.place);
+    Motion k[4];
+    k[0] = slopes(s, phase, x, sites->start, saturates);
+    Motion x2 = ahead(x, &k[0], 0.5 * h);
+    k[1] = slopes(s, phase, &x2, sites->middle, saturates);
+    Motion x3 = ahead(x, &k[1], 0.5 * h);
+    k[2] = slopes(s, phase, &x3, sites->middle, saturates);
+    Motion x4 = ahead(x, &k[2], h);
+    k[3] = slopes(s, phase, &x4, sites->end, saturates);
+    *new = after(x, k, h);
+}
+
+/* The same with bristles: at each stage they are as bent as the speed up to there makes them. Returns by how much at
+   the end. */
+static __attribute__((noinline)) double step_brushed(const Machine *s, const Phase *phase, const Motion *x, double h,
+                                                     const Sites *sites, double bristle_rad, Motion *new)
+{
+    bool saturates = s->p->saturation.active;
+    int mass = s->brushed;
+    double speed = x->speed[mass];
+    Motion k[4];
+    k[0] = slopes(s, phase, x, brushed_nm(s, sites->start, bristle_rad, x), saturates);
+    Motion x2 = ahead(x, &k[0], 0.5 * h);
+    double half_rad = bent(s, bristle_rad, 0.5 * (speed + x2.speed[mass]), 0.5 * h);
+    k[1] = slopes(s, phase, &x2, brushed_nm(s, sites->middle, half_rad, &x2), saturates);
+    Motion x3 = ahead(x, &k[1], 0.5 * h);
+    half_rad = bent(s, bristle_rad, 0.5 * (speed + x3.speed[mass]), 0.5 * h);
+    k[2] = slopes(s, phase, &x3, brushed_nm(s, sites->middle, half_rad, &x3), saturates);
+    Motion x4 = ahead(x, &k[2], h);
+    double end_rad = bent(s, bristle_rad, x3.speed[mass], h);
+    k[3] = slopes(s, phase, &x4, brushed_nm(s, sites->end, end_rad, &x4), saturates);
+    *new = after(x, k, h);
+    return bent(s, bristle_rad, SIXTH * (speed + 4.0 * x3.speed[mass] + new->speed[mass]), h);
 }
 
 static __attribute__((noinline)) void runge_kutta(const Machine *s, const Phase *phase, const Motion *x, double h,
                                                   Sited *sited, Motion *new)
 {
     Sites sites = {{0.0, 0.0}, {0.0, 0.0}, {0.0, 0.0}};
+    double bristle_rad = sited->bristle_rad;
     if (s->sited)
         look_ahead(s, phase, x, h, sited, &sites);
-    if (s->p->saturation.active)
+    if (s->bristles)
+        sited->bristle_rad = step_brushed(s, phase, x, h, &sites, bristle_rad, new);
+    else if (s->p->saturation.active)
         step_of(s, phase, x, h, &sites, true, new);
     else
         step_of(s, phase, x, h, &sites, false, new);
@@ -265,7 +331,10 @@ static double stop_hold_rad(const Machine *s, double stop, const Motion *x)
 /* What pulls at a mass at rest. `sited`: at x. */
 static double pull_nm(const Machine *s, const Phase *phase, const Motion *x, const Sited *sited, int mass)
 {
-    return pull(s, phase, x, sited_nm(s, sited), s->p->saturation.active)[mass];
+    Pair places = sited_nm(s, sited);
+    if (s->bristles)
+        places = brushed_nm(s, places, sited->bristle_rad, x);
+    return pull(s, phase, x, places, s->p->saturation.active)[mass];
 }
 
 /* By how much the friction at rest exceeds what pulls at a mass. */
@@ -438,7 +507,9 @@ static void rub(Machine *s, double brake_nm, double rubs_nm, int side)
     const Mechanism *m = s->m;
     s->friction[ROTOR] = (Friction){brake_nm, brake_nm, 0.0};
     s->friction[LOAD] = (Friction){0.0, 0.0, 0.0};
-    Friction *f = &s->friction[side];
+    s->brushed = side;
+    s->bristled = (Friction){0.0, 0.0, 0.0};
+    Friction *f = s->bristles ? &s->bristled : &s->friction[side];
     f->forward_nm += p->coulomb_friction_nm;
     f->backward_nm += p->coulomb_friction_nm + m->backward_more_nm;
     f->breakaway_more_nm = m->breakaway_more_nm;
@@ -460,9 +531,10 @@ static void make_machine(Machine *s, const MotorParameters *p, const Mechanism *
     s->viscous = on_load ? (Pair){0.0, viscous} : (Pair){viscous, 0.0};
     s->load_nm = onto(s, 0.0, load_nm);
     s->rubs[ROTOR] = s->rubs[LOAD] = false;
+    s->bristles = m->bristle_nm_rad != 0.0;
     double rubs_nm = 0.0;
     if (m->rubs_per_load != 0.0) {
-        const Sited at = {s->load->cogs_nm, s->load->asked}; /* of the last period's end */
+        const Sited at = {.cogs_nm = s->load->cogs_nm, .asked = s->load->asked}; /* of the last period's end */
         rubs_nm = m->rubs_per_load * fabs(load_nm + asked_nm(s, &at));
     }
     if (brake_nm != 0.0 || p->coulomb_friction_nm != 0.0 || m->backward_more_nm != 0.0 || m->breakaway_more_nm != 0.0
@@ -489,7 +561,7 @@ static Sited sited_at_start(const Machine *s, const MotorState *state, const Mot
     const LoadSide *load = s->load;
     if (load->sited != 0.0 && load->sited_rad == state->angle_rad && load->sited_turns == state->turns
         && load->sited_rad_s == x->speed[ROTOR])
-        return (Sited){load->cogs_nm, load->asked};
+        return (Sited){.cogs_nm = load->cogs_nm, .asked = load->asked};
     return sited_at(s, 0.0, 0.0, load_speed(s, x));
 }
 
@@ -528,6 +600,7 @@ void advance_machine(MotorState *state, LoadSide *load, const MotorParameters *p
     Sited sited = {0};
     if (s.sited)
         sited = sited_at_start(&s, state, &x);
+    sited.bristle_rad = load->bristle_rad;
     for (int step = 0; step < (int)p->substeps; step++)
         substep(&s, &x, &sited, p->step_s);
     double angle = state->angle_rad + x.place[ANGLE];
@@ -537,6 +610,7 @@ void advance_machine(MotorState *state, LoadSide *load, const MotorParameters *p
     state->speed_rad_s = x.speed[ROTOR];
     load->speed_rad_s = mechanism->coupled ? x.speed[LOAD] : x.speed[ROTOR];
     load->twist_rad = mechanism->coupled ? x.place[TWIST] : 0.0;
+    load->bristle_rad = sited.bristle_rad;
     /* Rounding may leave the angle a hair outside of its turn. */
     state->angle_rad = least(most(angle - turns * TURN_RAD, 0.0), BELOW_TURN_RAD);
     state->turns += turns;

@@ -18,6 +18,8 @@ typedef struct Mechanism {
     double backward_more_nm;  /* Coulomb friction at negative speed, above that at positive */
     double breakaway_more_nm; /* friction at rest, above Coulomb's */
     double per_stribeck;      /* s/rad */
+    double bristle_nm_rad;    /* friction goes by bristles that bend; 0: by the speed alone */
+    double bristle_nm_s;
     double rubs_per_load;     /* Coulomb friction that each N m of the load adds */
     const double *cogging_nm; /* over a turn of the rotor, the first point once more behind the last */
     int cogging_points;       /* 0: no cogging */
@@ -33,6 +35,7 @@ typedef struct LoadSide {
     double stop;      /* 1 or -1: the load is at an end stop */
     double hits;      /* of end stops, and the speed at the last one */
     double hit_rad_s;
+    double bristle_rad; /* by which the bristles of the friction are bent */
     /* What goes by the places of rotor and load, at the end of the last period, and where and at which speed the rotor
        was there. */
     double sited; /* 1: that is known */

@@ -115,6 +115,9 @@ class InnerLoops:
     backward_more_nm: float
     """Coulomb friction at negative speed, above that at positive."""
     rubs_per_load: float
+    bristle_nm_rad: float
+    """Of the friction's bristles; 0: it goes by the speed alone."""
+    bristle_nm_s: float
     """Coulomb friction that each N m of the load adds."""
     breakaway_more_nm: float
     per_stribeck: float
@@ -294,6 +297,8 @@ class InnerLoops:
     load_speed_rad_s: float
     twist_rad: float
     """Rotor's angle less the load's."""
+    bristle_rad: float
+    """By which the friction's bristles are bent."""
     stop_touched: float
     """1 or -1: the load is at an end stop."""
     stop_hits: float

@@ -258,6 +258,7 @@ class Firmware:
         return replace(
             motor,
             flux_linkage_wb=motor.flux_linkage_wb * heat.flux_factor,
+            viscous_friction_nm_s=motor.viscous_friction_nm_s * heat.viscous_factor,
             resistance_ohm=motor.resistance_ohm * parameters.resistance_factor * heat.resistance_factor,
             inductance_d_h=motor.inductance_d_h * parameters.inductance_factor,
             inductance_q_h=motor.inductance_q_h * parameters.inductance_factor,

@@ -37,7 +37,11 @@ def fill_mechanism(inner: InnerLoops, motor: PmsmParameters, mechanism: Mechanis
         _couple(inner, mechanism.coupling)
     if mechanism.friction is not None:
         _rub(inner, motor, mechanism.friction)
-    if mechanism.cogging:
+        inner.bristle_nm_s = mechanism.friction.bristle_nm_s(mechanism.rubbed_kg_m2(motor.inertia_kg_m2))
+    if mechanism.cogging_points_nm:
+        points = mechanism.cogging_points_nm
+        inner.set_cogging(array("d", (*points, points[0])).tobytes())
+    elif mechanism.cogging:
         inner.set_cogging(cogging_table(mechanism.cogging))
     if mechanism.switches is not None:
         _switch(inner, mechanism.switches)
@@ -67,6 +71,7 @@ def _couple(inner: InnerLoops, coupling: Coupling) -> None:
 def _rub(inner: InnerLoops, motor: PmsmParameters, friction: Friction) -> None:
     inner.friction_on_load = friction.side is Side.LOAD
     inner.rubs_per_load = friction.load_share
+    inner.bristle_nm_rad = friction.bristle_nm_rad
     inner.backward_more_nm = friction.backward_nm - motor.coulomb_friction_nm
     inner.breakaway_more_nm = friction.breakaway_nm - motor.coulomb_friction_nm
     inner.per_stribeck = 1.0 / friction.stribeck_rad_s

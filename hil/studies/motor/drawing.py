@@ -34,7 +34,7 @@ def draw_motor(motor: PmsmParameters, path: Path, field: FieldOptions = NO_FIELD
     if mechanism is not None:
         panels += [_draw_friction] if mechanism.friction is not None else []
         panels += [_draw_responses] if mechanism.coupling is not None else []
-        panels += [_draw_cogging] if mechanism.cogging else []
+        panels += [_draw_cogging] if mechanism.cogging or mechanism.cogging_points_nm else []
     size = (_PANEL[0], _PANEL[1] * len(panels))
     with picture(path, rows=len(panels), size=size, asked_by="--picture", squeeze=False) as axes:
         for axis, panel in zip(axes[:, 0], panels, strict=True):
@@ -118,7 +118,7 @@ def _frequencies(coupling: Coupling) -> Any:
 
 def _draw_cogging(axes: Any, motor: PmsmParameters) -> None:
     assert motor.mechanism is not None
-    periods = math.gcd(*(each.per_turn for each in motor.mechanism.cogging))
+    periods = math.gcd(*(each.per_turn for each in motor.mechanism.cogging)) or 1
     angle = np.linspace(0.0, math.tau / periods, 600)
-    axes.plot(np.degrees(angle), cogging_nm(motor.mechanism.cogging, angle))
+    axes.plot(np.degrees(angle), cogging_nm(motor.mechanism, angle))
     axes.set(xlabel=f"angle of the rotor, degrees ({periods} times a turn)", ylabel="cogging, N m")

@@ -255,3 +255,73 @@ def test_what_no_coupling_can_be_is_refused(
         load_motor(coupled(tmp_path, old, new))
     assert key in str(refused.value)
     assert expected in str(refused.value)
+
+
+RUBBING = """
+[friction]
+breakaway_nm = 0.1
+bristle_nm_rad = 50.0
+bristle_damping_ratio = 0.5
+
+[cogging_by_angle]
+torque_nm = [0.0, 0.02, 0.0, -0.03]
+per_turn = 6
+
+[temperature]
+winding_c = 20.0
+magnet_c = 20.0
+bearing_c = -10.0
+viscous_percent_k = -1.5
+"""
+
+
+def rubbing(tmp_path: Path, old: str = "[friction]", new: str = "[friction]") -> Path:
+    assert RUBBING.count(old) == 1
+    path = tmp_path / "motor.toml"
+    path.write_text((EXAMPLES / "ling2012.toml").read_text() + RUBBING.replace(old, new))
+    return path
+
+
+def test_bristles_cogging_by_angle_and_cold_bearings(tmp_path: Path) -> None:
+    written = load_motor(rubbing(tmp_path))
+    motor = written.parameters
+    assert motor.mechanism is not None
+    assert motor.mechanism.friction is not None
+    assert motor.mechanism.friction.bristle_nm_rad == 50.0
+    assert motor.mechanism.friction.bristle_nm_s(0.0008) == pytest.approx(math.sqrt(50.0 * 0.0008))
+    assert motor.mechanism.cogging_points_nm == 6 * (0.0, 0.02, 0.0, -0.03)
+    assert motor.heat is not None
+    assert motor.heat.viscous_factor == pytest.approx(1.45)
+    figures = motor_figures(motor)
+    assert figures["bristles_slip_after_mrad"] == pytest.approx(2.0)
+    assert figures["cogging_percent_of_rated"] == pytest.approx(1.5)
+    assert MotorFile.model_validate(written.tables) == written
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "expected"),
+    [
+        ("= 50.0", "= 1e7", "friction", "a frequency on the bristles of at most 5000 Hz, this is 17794 Hz"),
+        (
+            "breakaway_nm = 0.1",
+            "",
+            "friction",
+            "bristle_nm_rad with friction either way: breakaway_nm above 0",
+        ),
+        ("0.02, 0.0, -0.03", "", "cogging_by_angle.torque_nm", "2"),
+        (
+            "[friction]",
+            "[[cogging]]\nper_turn = 24\ntorque_nm = 0.02\n[friction]",
+            "cogging_by_angle",
+            "either [[cogging]] or [cogging_by_angle]",
+        ),
+        ("= -10.0", "= 120.0", "temperature", "viscous_percent_k that leaves viscous friction at bearing_c"),
+    ],
+)
+def test_what_no_friction_can_be_is_refused(
+    tmp_path: Path, old: str, new: str, key: str, expected: str
+) -> None:
+    with pytest.raises((BadInput, BadInputs)) as refused:
+        load_motor(rubbing(tmp_path, old, new))
+    assert key in str(refused.value)
+    assert expected in str(refused.value)
