@@ -1,6 +1,7 @@
 """Memory of placing by order: SYNCs without a reading, and what the last readings said."""
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 from servobench.drivers.exchange import Reading
@@ -115,6 +116,19 @@ class SampleDelays(DelayExtremes):
         self._echo_error, self._echoes_late = syncs.error_ns, syncs.basis in STAMPED_LATE
         self._first: list[int] = []
         """The first of a run."""
+        self._longest = DelayExtremes()
+        """Delays with the sign turned: how far above the longest others may lie. It is they that tell how
+        late echoes are, as no reading is stamped before the echo in front of it."""
+
+    def add(self, value: int) -> None:
+        super().add(value)
+        if self._echoes_late:
+            self._longest.add(-value)
+
+    def begin(self, values: Sequence[int]) -> None:
+        super().begin(values)
+        if self._echoes_late:
+            self._longest.begin([-value for value in values])
 
     def take(self, delay: int) -> None:
         """One of a run. With the first ones those of a calibration are let go of: they are of a quiet bus, so
@@ -128,7 +142,8 @@ class SampleDelays(DelayExtremes):
     def error_of(self, delay: int) -> int:
         """How far the sample of a reading may lie from its SYNC."""
         if self._echoes_late:  # and by how much is in no single delay, as readings are stamped late too
-            return self._echo_error + max(delay, self.high) - self.low + self.unseen(self._transit)
+            unseen = max(self.unseen(self._transit), self._longest.unseen(self._transit))
+            return self._echo_error + max(delay, self.high) - self.low + unseen
         if len(self._first) < FIRST:
             late = max(delay - self.low, min(delay - self._transit, self._period // 2))
             return self._echo_error + late
