@@ -41,6 +41,8 @@ LOSSES_MIN: Final = 3
 HIDES_PARTS: Final = 2
 """A shortest delay that exceeds a frame's by such a part of a period hides a delay that has grown by less
 than a period: it takes a loss's place, and no reading comes too early."""
+NARROWEST_PARTS: Final = 2
+"""Delays that spread over less than such a part of a period are told by how long they usually are."""
 WIDEST: Final = 2
 """Periods: in a queue that holds frames for longer few come soon enough to show that a delay has grown."""
 KEPT: Final = 64
@@ -102,12 +104,13 @@ class KeptOrder:
 
     @property
     def leads(self) -> bool:
-        """True if readings can be placed by it, and by nothing else, as they spread over a period."""
+        """True if readings can be placed by it, as they spread over a good part of a period or more."""
         if self._distrusted or (self._syncs.basis in STAMPED_LATE and not self._syncs.of_another):
             return False  # an echo may be stamped behind the reading that it is followed by
         kept = self._frames_apart and self._overtaken < OVERTAKEN_MOST
         spread = self._high - self._low
-        return kept and self._seen >= SEEN_MIN and self._period <= spread < WIDEST * self._period
+        reaches = self._period <= NARROWEST_PARTS * spread and spread < WIDEST * self._period
+        return kept and self._seen >= SEEN_MIN and reaches
 
     def take(self, reading: Reading, known: int, copy: bool) -> PlacedInOrder | None:
         """Take the next reading; None if it says nothing. ``known``: number of the last SYNC whose reading

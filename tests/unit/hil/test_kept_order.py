@@ -20,12 +20,18 @@ LEARNED = 200
 
 
 def come(
-    seed: int, in_order: bool, lost: float, surplus: float = 0.0, held: int = 0, grown: int = 0
+    seed: int,
+    in_order: bool,
+    lost: float,
+    surplus: float = 0.0,
+    held: int = 0,
+    grown: int = 0,
+    most: int = MOST,
 ) -> list[tuple[int, int, int]]:
     """Return of each reading when it comes, when the position of its SYNC did, and the number of that.
 
     ``held``: by so much each delay is longer than its frame takes, and nothing is lost until the order has
-    shown; ``grown``: from the middle on by so much more."""
+    shown; ``grown``: from the middle on by so much more. ``most``: so far delays spread."""
     draw = Random(seed)
     frames: list[tuple[int, bool, int]] = []
     released = 0
@@ -37,7 +43,7 @@ def come(
                 number * PERIOD
                 + queued
                 + TRANSIT * (1 + is_speed)
-                + draw.randrange(MOST if is_speed or not in_order else 1)
+                + draw.randrange(most if is_speed or not in_order else 1)
             )
             if in_order:
                 at = released = max(at, released)
@@ -83,6 +89,17 @@ def test_readings_that_keep_their_order_are_known_though_their_delays_spread_ove
     lost: float, least: float
 ) -> None:
     rows = placed(come(1, in_order=True, lost=lost))
+    assert all(own == told for own, told, certain in rows if certain)
+    later = [certain for own, _, certain in rows if own > LEARNED]
+    assert sum(later) > least * len(later)
+
+
+@pytest.mark.parametrize(("seed", "lost", "least"), [(4, 0.0, 0.95), (5, 0.02, 0.6)])
+def test_so_they_are_where_delays_spread_over_almost_a_period_and_none_is_usual(
+    seed: int, lost: float, least: float
+) -> None:
+    """They reach from 0.4 to 1.3 periods, and a calibration's were none of them."""
+    rows = placed(come(seed, in_order=True, lost=lost, held=PERIOD * 2 // 5, most=PERIOD * 9 // 10))
     assert all(own == told for own, told, certain in rows if certain)
     later = [certain for own, _, certain in rows if own > LEARNED]
     assert sum(later) > least * len(later)
