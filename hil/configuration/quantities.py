@@ -6,6 +6,7 @@ drives, from a hundredth of a watt to a megawatt: a value outside is most often 
 """
 
 from collections.abc import Iterator
+from functools import cache
 from typing import Annotated, Any, Final, NamedTuple, get_args
 
 from pydantic import BaseModel, BeforeValidator, Field
@@ -77,8 +78,8 @@ HeartbeatTimeout = Annotated[int, Field(ge=2, le=65_535), Usual(2, 2000)]
 
 def odd_values(section: BaseModel, place: str = "") -> Iterator[str]:
     """Yield a note on each value of ``section`` outside the usual range, by its key in the file."""
-    for name, field in type(section).model_fields.items():
-        yield from _odd(getattr(section, name), _usual(field), f"{place}.{name}" if place else name)
+    for name, usual in _usual_ranges(type(section)):
+        yield from _odd(getattr(section, name), usual, f"{place}.{name}" if place else name)
 
 
 def _odd(value: Any, usual: Usual | None, place: str) -> Iterator[str]:
@@ -92,6 +93,12 @@ def _odd(value: Any, usual: Usual | None, place: str) -> Iterator[str]:
             yield from _odd(item, usual, f"{place}[{index}]")
     elif usual is not None and value is not None and not usual.least <= value <= usual.most:
         yield f"{place}: {value:g} is odd, {usual.least:g} to {usual.most:g} is usual: is it in that unit?"
+
+
+@cache
+def _usual_ranges(section: type[BaseModel]) -> tuple[tuple[str, Usual | None], ...]:
+    """Return the fields of a section with their usual ranges; runs of a campaign ask again and again."""
+    return tuple((name, _usual(field)) for name, field in section.model_fields.items())
 
 
 def _usual(field: FieldInfo) -> Usual | None:

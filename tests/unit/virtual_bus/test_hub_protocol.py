@@ -50,6 +50,15 @@ def test_frame_round_trip(seed: int, at: int, own: bool) -> None:
     assert decode_frame(packet) == Received(frame, Instant(at), own)
 
 
+def test_the_hand_over_travels_and_a_ninth_octet_does_not() -> None:
+    frame = Frame(0x7FF, b"12345678")
+    frame.handed_at = Instant(1 << 40)
+    packet = encode_frame(frame)
+    assert decode_frame(packet).frame.handed_at == 1 << 40
+    with pytest.raises(MalformedRecord, match="identifier 0x7ff, DLC 9"):
+        decode_frame(packet[:21] + b"\x09" + packet[22:])
+
+
 @EXAMPLES
 @given(st.binary(min_size=FRAME_BYTES, max_size=FRAME_BYTES) | st.binary(max_size=64))
 def test_any_bytes_are_a_valid_frame_or_malformed(packet: bytes) -> None:
@@ -161,7 +170,18 @@ def test_what_came_before_the_broker_closed_is_handed_on() -> None:
     connection.end.close()
     with pytest.raises(OSError, match=r"\[Errno 0\]"):
         connection.end.transmit(Frame(1))
+    with pytest.raises(OSError, match=r"\[Errno 0\]"):
+        connection.end.receive(MonotonicClock().now())
     connection.close()
+
+
+def test_what_waits_is_handed_on_though_the_deadline_has_passed(connection: Connection) -> None:
+    for count in (9, 4, 1):
+        for number in range(count):
+            connection.broker.send(encode_frame(Frame(number)))
+        for number in range(count):
+            assert connection.end.receive(Instant(0)) == (Frame(number), 0, False)
+        assert connection.end.receive(Instant(0)) is None
 
 
 def test_only_frames_that_the_filter_accepts_are_handed_on(connection: Connection) -> None:
