@@ -53,8 +53,7 @@ class CommandMeter:
         self.out_of_order = 0
         """Tellings that equal a command older than one that had been followed by then."""
         self.patient = False
-        """True if a telling may come later than a newer one: a command that was replaced is open until the
-        horizon."""
+        """True if a telling may come later than a newer one: one that was replaced is open to the horizon."""
         self._horizon = horizon
         self._window = horizon + REPLACED_CYCLES
         self._syncs = syncs
@@ -81,8 +80,7 @@ class CommandMeter:
         self._seen_since = Instant(0)
         """From the SYNC that ended then every SYNC up to ``_exact`` has an exact telling."""
         self._steady_raw: int | None = None
-        """What the last telling was of, if from the command in force to the newest that was there every one
-        has it; None: that is not so."""
+        """What the last telling was of, if all from the one in force to the newest there have it, or None."""
         self._steady_from = self._steady_to = 0
         """Places of those two; the first is in the past where what was before it is followed, or it."""
         self._passes, self._last_change = LeastPasses(), LastChange()
@@ -349,7 +347,9 @@ class CommandMeter:
         place = sync.number - marks[0].number - 1
         while place >= 0 and marks[place].on_bus_at is None and self._shows and marks[place].sure:
             place -= 1  # it has no echo, so it never was on the bus
-        if place < 0 or marks[place] is not self._exact:
+        before = self._exact
+        unheard = before is not None and sync.place - before.place > sync.number - before.number
+        if place < 0 or marks[place] is not before or unheard:
             self._seen_since = sync.handed_at if sync.on_bus_at is None else sync.on_bus_at
         self._exact = sync
 

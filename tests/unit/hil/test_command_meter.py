@@ -240,3 +240,19 @@ def test_the_rate_of_commands_passed_over_is_that_of_losses(share: float) -> Non
     assert passed / (passed + acted) == pytest.approx(true, abs=0.01)
     wrong = [n for n, fate in enumerate(told) if fate is CommandFate.ACTING and acting[n] is None]
     assert wrong == []
+
+
+@pytest.mark.parametrize("heard", [True, False])
+def test_a_command_may_have_acted_at_a_sync_of_another_that_was_not_heard(heard: bool) -> None:
+    """A drive that takes set-points at SYNCs and tells before it takes: at SYNC 5 it would tell command 3."""
+    syncs = SyncLog(Duration(0), Duration(PERIOD), EchoBasis.BUS)
+    meter = CommandMeter(HORIZON, syncs, acts_at_syncs=True)
+    for number in range(1, 9):
+        if number != 5 or heard:
+            mark = syncs.heard(number, sync_at(number))
+            followed = 2 if number == 5 else number - 2
+            meter.told(followed, sync_at(number), sync_at(number), mark)
+        meter.sent(command(number, number))
+    outcome = [meter.outcome(number, 8 + HORIZON) for number in range(1, 4)][-1]
+    assert outcome is not None
+    assert outcome.fate is (CommandFate.LOST if heard else CommandFate.NOT_IDENTIFIABLE)
