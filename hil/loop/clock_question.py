@@ -81,7 +81,7 @@ class ClockQuestion(AnsweredSyncs):
     def note_residuals(self, suspects: list[Suspect]) -> None:
         """Suspects lie off their SYNCs though the clock is as it was: others may too. Where a SYNC may wait
         in front of the bus unseen, a stamp before one is of the SYNC before, which waited so long."""
-        stamps, may_wait = self._stamps, self._syncs.basis is EchoBasis.NONE
+        stamps, may_wait, noted = self._stamps, self._syncs.basis is EchoBasis.NONE, list[int]()
         for suspect in suspects:
             at = stamps.clock.place(suspect.device_ns)
             mark = None if suspect.second else self._syncs.nearest(at)
@@ -89,6 +89,8 @@ class ClockQuestion(AnsweredSyncs):
                 residual = at - mark.on_bus_at
                 if not may_wait or residual >= stamps.residuals.least - stamps.match_ns:
                     stamps.residuals.add_questioned(residual, stamps.match_ns, 2 * self._half)
+                    noted.append(residual)
+        stamps.residuals.scatter(noted)
 
     def was_set(self, suspects: list[Suspect]) -> bool:
         """True if the clock is not as it was: a suspect would have come before the SYNC next to its stamp."""

@@ -272,6 +272,12 @@ class Residuals:
         if abs(residual) <= period * NEARER:
             self.add(residual, unseen_ns)
 
+    def scatter(self, residuals: Sequence[int]) -> None:
+        """Heed that several in a row have changed by more than before, not a single one."""
+        changes = sorted(abs(later - earlier) for earlier, later in pairwise(residuals))
+        if len(changes) >= FEW:
+            self.change_ns = max(self.change_ns, float(changes[len(changes) // 2]))
+
     def _reach(self, unseen_ns: int) -> None:
         extremes = self._extremes
         self.early = max(0, -extremes.low - unseen_ns)

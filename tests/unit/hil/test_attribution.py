@@ -90,6 +90,20 @@ def test_a_reading_shorter_than_any_before_does_not_show_that_the_clock_ran_on(s
     assert len(outcome.uncertain) < 100
 
 
+@pytest.mark.parametrize("seed", [7, 36, 44, 45])
+def test_a_clock_set_back_while_the_jitter_of_the_sync_is_being_learned_is_no_grown_delay(seed: int) -> None:
+    """A calibration was quiet. From then on SYNCs are late to the drive by up to half a period, and before
+    the question of that is answered the clock is set by three: by what stamps scattered so far only a wrong
+    line, on which a few lay well by chance, seemed possible."""
+    jittery = Network(
+        delay=lambda _n, choices: None if choices.random() < 0.07 else 130_000 + choices.randrange(100_000),
+        sync_delay=lambda _n, choices: choices.randrange(475_000),
+        lateness=lambda number, choices: choices.randrange(110_000) if number % 4 == 0 else 0,
+        steps={38: -3 * PERIOD},
+    )
+    assert play(jittery, 160, seed).misjudged == []
+
+
 def test_a_late_host_misplaces_nothing() -> None:
     def lateness(_n: int, r: random.Random) -> int:
         return r.choice([0, 0, 0, 80_000, 490_000])
