@@ -108,6 +108,10 @@ _OWN_FAULTS: Final = {
         "of a DC link that driving emptied", f"the supply gives less than the motion takes: {_LOWER}"
     ),
     0x2350: _OwnFault("of I^2 t", "let it cool, or lower limits.torque_max_percent in the nameplate"),
+    0x4210: _OwnFault(
+        "of a power stage that its current warmed",
+        "let it cool, or lower limits.torque_max_percent in the nameplate",
+    ),
     0x2310: _OwnFault("", _LOWER),
 }
 

@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 from servobench.design.motor import PmsmParameters
 from servobench.drivers.bounded_file import NamedBy
 from servobench.hil.configuration.config_files import Section
+from servobench.hil.configuration.drive_protection import ProtectionTable
 from servobench.hil.configuration.drive_timing import SetPointTable, TimingTable
 from servobench.hil.configuration.preset_files import FromPreset, load_file_or_preset
 from servobench.hil.configuration.quantities import Current, Resistance, Voltage
@@ -25,8 +26,6 @@ from servobench.virtual_bus.drive.power_stage import (
     Chopper,
     CurrentSensors,
     Inverter,
-    Overload,
-    Protection,
     Supply,
     peak_current_a,
 )
@@ -35,7 +34,6 @@ from servobench.virtual_bus.drive.set_point_path import STRAIGHT
 _TIME_CONSTANT_MIN_S = 1e-5
 """Of resistance and capacitance: a period of 62.5 us is then cut into 63 steps."""
 _UF = 1e-6
-Percent = Annotated[float, Field(ge=1.0, le=100.0)]
 
 
 class ChopperTable(Section):
@@ -88,74 +86,6 @@ class SupplyTable(Section):
             self.feeds_back,
             self.idle_w,
             None if chopper is None else Chopper(chopper.resistance_ohm, chopper.on_v, chopper.off_v),
-        )
-
-
-class OverloadTable(Section):
-    """``[protection.overload]``: I^2 t above the continuous current."""
-
-    continuous_a_rms: Current = Field(description="current of a phase that can flow for ever, A rms")
-    peak_a_rms: Current = Field(description="current that can flow for peak_time_s, A rms")
-    peak_time_s: float = Field(ge=0.01, le=600.0, description="from a cold start, s")
-    warning_percent: Percent = 80.0
-    """Share of the sum at which statusword bit 7 warns."""
-    clear_percent: Percent = 80.0
-    """Share of the sum below which a limited current is free again."""
-    reaction: Literal["limit", "fault"] = "limit"
-    """To limit the current to the continuous one, or a fault with the reaction of 605Eh."""
-
-    @model_validator(mode="after")
-    def _check_peak(self) -> Self:
-        if self.peak_a_rms <= self.continuous_a_rms:
-            raise ValueError(f"peak_a_rms above continuous_a_rms = {self.continuous_a_rms:g}")
-        return self
-
-    @property
-    def parameters(self) -> Overload:
-        """The overload of the simulated drive."""
-        return Overload(
-            self.continuous_a_rms,
-            self.peak_a_rms,
-            self.peak_time_s,
-            self.warning_percent,
-            self.clear_percent,
-            self.reaction == "fault",
-        )
-
-
-class ProtectionTable(Section):
-    """``[protection]``: limits at which the power stage opens by itself; absent: not watched."""
-
-    over_voltage_v: Voltage | None = None
-    """Greatest voltage of the DC link: fault 3210h."""
-    under_voltage_v: Voltage | None = None
-    """Least voltage of the DC link while the drive is enabled: fault 3220h."""
-    over_current_a_rms: Current | None = None
-    """Amplitude of the current as A rms: fault 2310h."""
-    overload: OverloadTable | None = None
-    """The table [protection.overload]; fault 2350h."""
-    winding_max_c: float | None = Field(default=None, ge=20.0, le=250.0)
-    """Greatest temperature that the motor's sensor may tell: fault 4310h."""
-    missing_counts_max: int | None = Field(default=None, ge=1, le=2**30)
-    """Encoder counts that may be missing between two index pulses: fault 7305h."""
-
-    @model_validator(mode="after")
-    def _check_band(self) -> Self:
-        low, high = self.under_voltage_v, self.over_voltage_v
-        if low is not None and high is not None and low >= high:
-            raise ValueError(f"under_voltage_v below over_voltage_v = {high:g}")
-        return self
-
-    @property
-    def parameters(self) -> Protection:
-        """The protection of the simulated drive."""
-        return Protection(
-            self.over_voltage_v,
-            self.under_voltage_v,
-            self.over_current_a_rms,
-            None if self.overload is None else self.overload.parameters,
-            self.winding_max_c,
-            self.missing_counts_max,
         )
 
 
@@ -246,6 +176,8 @@ class CurrentSensorTable(Section):
     offset_b_percent: GainPercent = 0.0
     noise_percent_rms: float = Field(default=0.0, ge=0.0, le=10.0)
     """Share of range_a, in each phase and each inner period."""
+    delay_us: float = Field(default=0.0, ge=0.0, le=1000.0)
+    """Age of a current when the drive has it, up to an inner period."""
 
     @property
     def parameters(self) -> CurrentSensors:
@@ -258,6 +190,7 @@ class CurrentSensorTable(Section):
             self.offset_a_percent / 100.0 * self.range_a,
             self.offset_b_percent / 100.0 * self.range_a,
             self.noise_percent_rms / 100.0 * self.range_a,
+            self.delay_us * 1e-6,
         )
 
 

@@ -71,6 +71,7 @@ _DRIVE_COLORS: Final = {
 }
 _PART_COLORS: Final = {
     "Limited": RED,
+    "Derated": RED,
     "Warned": AMBER,
     "Low": RED,
     "Charged": DIM,

@@ -13,7 +13,7 @@ from servobench.drivers.timebase import NS_PER_S, Instant
 from servobench.hil.configuration.bench_file import Bench
 from servobench.hil.configuration.motor_file import LING2012
 from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
-from servobench.virtual_bus.drive.power_stage import Chopper, Overload, Protection, Supply, Trip
+from servobench.virtual_bus.drive.power_stage import Chopper, Overload, Protection, StageHeat, Supply, Trip
 from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from tests.scenario.processes import EXAMPLES
 from tests.unit.virtual_bus.servo_bench import ENABLE, ServoBench
@@ -168,6 +168,10 @@ def test_braking_without_a_chopper_trips_the_drive_and_with_one_does_not() -> No
             },
             "2350h",
         ),
+        (
+            {"stage": {"rise_k": 200.0, "at_a_rms": 1.0, "time_constant_s": 0.1, "max_c": 90.0}},
+            "4210h",
+        ),
     ],
 )
 def test_each_protection_ends_a_run_by_its_code(protection: dict[str, object], code: str) -> None:
@@ -222,3 +226,73 @@ def test_the_speed_that_a_motor_reaches_follows_its_source(supply: Supply | None
     firmware.scale_supply(1.0)
     at(firmware, 4.0)
     assert firmware.speed_rad_s == pytest.approx(400.0, rel=1e-3)
+
+
+STAGE = StageHeat(30.0, 45.0, 3.0, 0.4, 95.0, 85.0)
+"""45 K above 30 degrees C for ever at 3 A rms."""
+HELD = replace(LING2012.parameters, inertia_kg_m2=1e3)
+RMS_A = math.sqrt(3.0)
+"""Amplitude of 1 A rms in the power-invariant transform."""
+
+
+def heated(stage: StageHeat, rms_a: float) -> Firmware:
+    firmware = started(HELD, None, Protection(stage=stage))
+    firmware.control(InnerControl.TORQUE)
+    firmware.demand_torque(HELD.torque_constant_nm_a * RMS_A * rms_a)
+    return firmware
+
+
+def test_a_power_stage_warms_by_the_square_of_its_current_and_fails_above_its_limit() -> None:
+    firmware = heated(STAGE, 4.0)
+    settles_k = 45.0 * 16.0 / 9.0
+    for time_s in (0.05, 0.3, 0.6):
+        at(firmware, time_s)
+        told_c = 30.0 + settles_k * (1.0 - math.exp(-time_s / 0.4))
+        assert firmware.inner.stage_c == pytest.approx(told_c, abs=0.1)
+    fails_s = 0.4 * math.log(settles_k / (30.0 + settles_k - 95.0))
+    at(firmware, fails_s - 0.01)
+    assert firmware.inner.trip == Trip.NONE
+    at(firmware, fails_s + 0.01)
+    assert firmware.inner.trip == Trip.STAGE_HOT
+    firmware.control(InnerControl.OFF)
+    for cold_c, trip in ((87.0, Trip.STAGE_HOT), (83.0, Trip.NONE)):
+        at(firmware, fails_s + 0.01 + 0.4 * math.log(65.0 / (cold_c - 30.0)) + 0.004)
+        firmware.inner.trip = Trip.NONE
+        at(firmware, firmware.ticks / 16_000 + 0.001)
+        assert firmware.inner.trip == trip, cold_c
+
+
+def test_a_warm_power_stage_lets_less_current_through_until_it_warms_no_more() -> None:
+    """It settles where the current that is let through keeps it as warm: a root of a parabola."""
+    firmware = heated(replace(STAGE, derate_from_c=70.0), 6.0)
+    at(firmware, 6.0)
+    most = HELD.current_max_a / RMS_A  # A rms, at 70 degrees C, falls to 0 at 95
+    a, b, c = 45.0 / 9.0, 25.0 / most, 30.0 - 95.0
+    settles_a = (-b + math.sqrt(b * b - 4.0 * a * c)) / (2.0 * a)
+    inner = firmware.inner
+    assert inner.current_q_a / RMS_A == pytest.approx(settles_a, rel=0.01)
+    assert inner.stage_c == pytest.approx(30.0 + a * settles_a**2, abs=0.1)
+    assert inner.derated
+    assert firmware.inner.trip == Trip.NONE
+
+
+def test_an_overload_and_a_warm_stage_limit_together() -> None:
+    """The lesser of both is in force."""
+    overload = Overload(2.0, 6.0, peak_time_s=0.2)
+    firmware = started(
+        HELD, None, Protection(overload=overload, stage=replace(STAGE, rise_k=30.0, derate_from_c=60.0))
+    )
+    firmware.control(InnerControl.TORQUE)
+    firmware.demand_torque(HELD.torque_constant_nm_a * RMS_A * 6.0)
+    at(firmware, 0.3)
+    assert firmware.inner.derated
+    assert firmware.inner.current_q_a == pytest.approx(2.0 * RMS_A, rel=0.01)
+    warm = replace(STAGE, rise_k=300.0, derate_from_c=60.0)
+    hot = started(HELD, None, Protection(overload=overload, stage=warm))
+    hot.control(InnerControl.TORQUE)
+    hot.demand_torque(HELD.torque_constant_nm_a * RMS_A * 6.0)
+    at(hot, 6.0)
+    a, b = 300.0 / 9.0, 35.0 / 6.0
+    settles_a = (math.sqrt(b * b + 4.0 * a * 65.0) - b) / (2.0 * a)
+    assert settles_a < overload.continuous_a_rms
+    assert hot.inner.current_q_a == pytest.approx(settles_a * RMS_A, rel=0.01)

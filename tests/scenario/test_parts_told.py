@@ -177,3 +177,25 @@ def test_a_drive_without_such_parts_tells_nothing_of_them(tmp_path: Path) -> Non
     kept = recorded(tmp_path / "run", {"bench.duration_s": 0.3, "load.axis1": []})
     tracks = {each.get("track") for each in read_events(kept.folder / "events.jsonl")}
     assert not tracks & {f"axis1 {part}" for part in ("current", "supply", "brake", "stops", "switches")}
+
+
+def test_a_warm_power_stage_is_told_while_it_lets_less_current_through(tmp_path: Path) -> None:
+    """By its own clock: warm from the step on, until the current has fallen and it has cooled."""
+    stage = {
+        "rise_k": 60.0, "at_a_rms": 1.0, "time_constant_s": 0.15, "max_c": 100.0, "derate_from_c": 60.0,
+    }  # fmt: skip
+    kept = recorded(
+        tmp_path,
+        {
+            "bench.duration_s": 1.0,
+            "drive.axis1.simulation.like": {"protection": {"stage": stage}},
+            "reference.axis1": [{"at_s": 0.2, "kind": "step", "speed_rpm": 1500.0}],
+            "load.axis1": [],
+            "verdict": {},
+        },
+    )
+    (warm, warm_state), (_, cool_state) = kept.states("current")[-2:]
+    assert (warm_state, cool_state) == ("Derated", QUIET)
+    events = read_events(tmp_path / "events.jsonl")
+    texts = [each.get("text", "") for each in events if each["at_ns"] == warm]
+    assert any("power stage at 6" in text and "its largest current falls" in text for text in texts)

@@ -154,7 +154,8 @@ static double sample(InnerLoops *self)
     if (self->sensors.active) {
         self->rotor_rad = electrical;
         self->rotor = sine_cosine(electrical);
-        current = sensed_current(&self->sensors, current, self->rotor, self->phase_amplitude, self->ticks);
+        current = sensed_current(&self->sensors, &self->sensor_state, current, self->rotor, self->phase_amplitude,
+                                 self->ticks);
         turn = sine_cosine(-angle);
     } else {
         turn = sine_cosine(electrical - angle);
@@ -192,7 +193,7 @@ static double speed_loop(InnerLoops *self, double least_nm, double most_nm)
 static double current_limit(const InnerLoops *self)
 {
     double current = self->demand.current_max_a;
-    return self->watched.limiting != 0.0 ? least(current, self->protection.continuous_a) : current;
+    return self->watched.limits != 0.0 ? least(current, self->watched.limit_a) : current;
 }
 
 /* The torque set-point, N m, as far as its slope has come. */

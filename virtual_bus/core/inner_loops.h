@@ -105,6 +105,7 @@ typedef struct InnerLoops {
     double rotor_rad;       /* electrical angle at which the currents were sensed, and its sine and cosine */
     SineCosine rotor;
     CurrentSensors sensors;
+    SensorState sensor_state;
     Inverter inverter;
     Protection protection;
     ProtectionState watched;

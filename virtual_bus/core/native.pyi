@@ -202,6 +202,8 @@ class InnerLoops:
     """0: none."""
     sensor_noise_a: float
     """rms."""
+    sensor_delay_share: float
+    """Of an inner period."""
     sensor_seed: int
     dead_share: float
     """What dead time takes of an inner period after compensation; 0: none."""
@@ -223,6 +225,18 @@ class InnerLoops:
     """Encoder counts that may be missing between two index pulses."""
     overload_trips: int
     watch_period_s: float
+    stage_heats: int
+    """0: the power stage stays cold."""
+    stage_share: float
+    """Share of the way to where its temperature settles, that it goes in a period."""
+    ambient_c: float
+    rise_k_a2: float
+    """K for each A^2, for ever."""
+    stage_max_c: float
+    stage_clear_c: float
+    derate_from_c: float
+    derate_a_k: float
+    """Largest current from there on, A for each kelvin below ``stage_max_c``."""
 
     # ---- loops: parameters ----
     counts: float
@@ -320,6 +334,10 @@ class InnerLoops:
     warning: float
     winding_c: float
     """Temperature that the motor's sensor tells."""
+    stage_c: float
+    """Temperature of the power stage."""
+    derated: float
+    """1: its largest current is less for that."""
     trip: int
     """:class:`servobench.virtual_bus.drive.power_stage.Trip`; 0 resets."""
 

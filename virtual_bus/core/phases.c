@@ -45,9 +45,21 @@ static double sensed(const CurrentSensors *p, double current_a, double scale, do
     return p->step_a == 0.0 ? told : p->step_a * floor(told / p->step_a + 0.5);
 }
 
-Pair sensed_current(const CurrentSensors *p, Pair current, SineCosine rotor, double amplitude, int64_t tick)
+static Pair delayed(const CurrentSensors *p, SensorState *state, Pair stator)
 {
-    Phases phases = phases_of(in_stator(current, rotor), amplitude);
+    Pair before = {state->alpha_a, state->beta_a};
+    state->alpha_a = stator[0];
+    state->beta_a = stator[1];
+    return stator + p->delay_share * (before - stator);
+}
+
+Pair sensed_current(const CurrentSensors *p, SensorState *state, Pair current, SineCosine rotor, double amplitude,
+                    int64_t tick)
+{
+    Pair stator = in_stator(current, rotor);
+    if (p->delay_share != 0.0)
+        stator = delayed(p, state, stator);
+    Phases phases = phases_of(stator, amplitude);
     uint64_t counter = 2 * ((uint64_t)p->seed + (uint64_t)tick);
     double a = sensed(p, phases.a, p->scale_a, p->offset_a, counter);
     double b = sensed(p, phases.b, p->scale_b, p->offset_b, counter + 1);

@@ -15,8 +15,14 @@ typedef struct CurrentSensors {
     double range_a;            /* A; larger currents are told as that */
     double step_a;             /* of the converter, A; 0: none */
     double noise_a;            /* rms, A */
+    double delay_share; /* of an inner period: straight between the currents of two ticks */
     int64_t seed;
 } CurrentSensors;
+
+/* The current at the last tick, in the stator's frame, A. */
+typedef struct SensorState {
+    double alpha_a, beta_a;
+} SensorState;
 
 typedef struct Inverter {
     double dead_share;  /* what dead time takes of a period, after the drive's compensation; 0: none */
@@ -25,7 +31,8 @@ typedef struct Inverter {
 } Inverter;
 
 /* What the sensors tell of a current in d and q at the rotor's electrical angle, in the stator's frame, A. */
-Pair sensed_current(const CurrentSensors *p, Pair current, SineCosine rotor, double amplitude, int64_t tick);
+Pair sensed_current(const CurrentSensors *p, SensorState *state, Pair current, SineCosine rotor, double amplitude,
+                    int64_t tick);
 
 /* What dead time adds to the voltage at that current, V in d and q. */
 Pair dead_time_voltage(const Inverter *p, Pair current, SineCosine rotor, double amplitude, double link_v);

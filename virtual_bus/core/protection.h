@@ -11,7 +11,8 @@ typedef enum Trip {
     TRIP_OVER_CURRENT,
     TRIP_OVERLOAD,
     TRIP_MOTOR_HOT,
-    TRIP_ENCODER
+    TRIP_ENCODER,
+    TRIP_STAGE_HOT
 } Trip;
 
 typedef struct Protection {
@@ -25,6 +26,11 @@ typedef struct Protection {
     double winding_max_c;
     double missing_max; /* encoder counts between two index pulses */
     double period_s;
+    int stage_heats; /* by its current, as the next seven say */
+    double stage_share;   /* of the way to where it settles, that it goes in a period */
+    double ambient_c, rise_k_a2; /* rise for ever by A^2 */
+    double stage_max_c, stage_clear_c;
+    double derate_from_c, derate_a_k; /* largest current for each kelvin below stage_max_c, from there on */
 } Protection;
 
 typedef struct ProtectionState {
@@ -32,6 +38,10 @@ typedef struct ProtectionState {
     double limiting; /* 1: to the continuous current */
     double warning;
     double winding_c; /* as its sensor has it */
+    double stage_c;
+    double stage_hot; /* 1: was above its limit, and is not below where it clears */
+    double derated;
+    double limits, limit_a; /* 1: no current above that amplitude is let through */
     int trip; /* since the last reset: the first that opened the power stage, or an overload */
 } ProtectionState;
 

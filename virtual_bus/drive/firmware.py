@@ -202,6 +202,12 @@ class FirmwareParameters:
         if not 0.0 <= self.inverter.dead_time_s * self.inner_rate_hz <= 0.5:
             expected = f"at most half an inner period, {5e5 / self.inner_rate_hz:g} us, expected"
             raise ValueError(f"dead time {self.inverter.dead_time_s * 1e6:g} us: {expected}")
+        if (
+            self.current_sensors is not None
+            and not 0.0 <= self.current_sensors.delay_s * self.inner_rate_hz <= 1.0
+        ):
+            expected = f"at most an inner period, {1e6 / self.inner_rate_hz:g} us, expected"
+            raise ValueError(f"current sensor's delay {self.current_sensors.delay_s * 1e6:g} us: {expected}")
         check_encoder(self.inner_rate_hz, self.encoder, self.speed)
         check_path(self.inner_rate_hz, self.path)
 

@@ -65,8 +65,11 @@ class PartsWatch:
 def _parts(drive: "ServoApplication") -> Iterator[WatchedPart]:
     inner, parameters, machine = drive.firmware.inner, drive.firmware.parameters, drive.firmware.machine
     protection, supply = parameters.protection, parameters.supply
-    if protection is not None and (overload := protection.overload) is not None:
-        yield WatchedPart("current", lambda: _current(inner), lambda state: _of_current(state, overload))
+    if protection is not None and (protection.overload is not None or protection.stage is not None):
+        overload = protection.overload
+        yield WatchedPart(
+            "current", lambda: _current(inner), lambda state: _of_current(inner, state, overload)
+        )
     if supply is not None:
         yield WatchedPart("supply", lambda: _supply(inner, supply), lambda state: _of_supply(inner, state))
     if parameters.brake_output:
@@ -78,17 +81,21 @@ def _parts(drive: "ServoApplication") -> Iterator[WatchedPart]:
         yield WatchedPart("switches", lambda: _switches(drive), lambda _state: "", limits=False)
 
 
-_LIMITED, _WARNED = "Limited", "Warned"
+_LIMITED, _WARNED, _DERATED = "Limited", "Warned", "Derated"
 _CHOPPED, _CHARGED, _LOW = "Braking resistor", "Charged", "Low"
 _CHARGED_FROM, _LOW_BELOW = 1.02, 0.9
 """Of the source's voltage without load: what braking returns, and more than source and cable lose."""
 
 
 def _current(inner: InnerLoops) -> str:
-    return _LIMITED if inner.limiting else _WARNED if inner.warning else ""
+    return _LIMITED if inner.limiting else _DERATED if inner.derated else _WARNED if inner.warning else ""
 
 
-def _of_current(state: str, overload: Overload) -> str:
+def _of_current(inner: InnerLoops, state: str, overload: Overload | None) -> str:
+    if state == _DERATED:
+        return f"power stage at {inner.stage_c:.0f} degrees C: its largest current falls"
+    if overload is None:
+        return "power stage has cooled: the current is free"
     if state == _LIMITED:
         then = (
             "the drive fails" if overload.trips else f"current limited to {overload.continuous_a_rms:g} A rms"

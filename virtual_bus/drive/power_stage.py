@@ -29,11 +29,12 @@ class Trip(IntEnum):
     OVERLOAD = 4
     MOTOR_HOT = 5
     ENCODER = 6
+    STAGE_HOT = 7
 
     @property
     def opens(self) -> bool:
         """True if the power stage is off already, so that no ramp can follow."""
-        return self not in (Trip.OVERLOAD, Trip.MOTOR_HOT)
+        return self not in (Trip.OVERLOAD, Trip.MOTOR_HOT, Trip.STAGE_HOT)
 
 
 TRIP_CODES: Final = {
@@ -42,6 +43,7 @@ TRIP_CODES: Final = {
     Trip.OVER_CURRENT: (0x2310, ErrorRegister.CURRENT),
     Trip.OVERLOAD: (0x2350, ErrorRegister.CURRENT),
     Trip.MOTOR_HOT: (0x4310, ErrorRegister.TEMPERATURE),
+    Trip.STAGE_HOT: (0x4210, ErrorRegister.TEMPERATURE),
     Trip.ENCODER: (0x7305, ErrorRegister.DEVICE_PROFILE),
 }
 """Error code 603Fh (CiA 402-2, 6.2.3) and its bit of 1001h."""
@@ -86,6 +88,23 @@ class Overload:
 
 
 @dataclass(frozen=True, slots=True)
+class StageHeat:
+    """Heat of the power stage, of first order by the current's square."""
+
+    ambient_c: float
+    rise_k: float
+    """Above that for ever, at ``at_a_rms``."""
+    at_a_rms: float
+    time_constant_s: float
+    max_c: float
+    """Above it the drive fails."""
+    clear_c: float
+    """Below it the drive is well again."""
+    derate_from_c: float | None = None
+    """From there on its largest current falls, to 0 at ``max_c``; None: it does not."""
+
+
+@dataclass(frozen=True, slots=True)
 class Protection:
     """Limits of the power stage; None: not watched."""
 
@@ -96,6 +115,8 @@ class Protection:
     winding_max_c: float | None = None
     missing_counts_max: int | None = None
     """Encoder counts that may be missing between two index pulses."""
+    stage: StageHeat | None = None
+    """Its temperature; None: it stays cold."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +133,8 @@ class CurrentSensors:
     """A, of the sensor in phase a."""
     offset_b: float = 0.0
     noise_a_rms: float = 0.0
+    delay_s: float = 0.0
+    """Age of the current when the drive has it, an inner period at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,11 +180,12 @@ def fill_power_stage(
     inner.output_share = inverter.output_share
     if sensors is not None:
         _fill_sensors(inner, sensors)
+        inner.sensor_delay_share = sensors.delay_s / period_s
     inner.source_v = motor.dc_bus_voltage_v
     if supply is not None:
         _fill_link(inner, motor, period_s, supply)
     if protection is not None:
-        _fill_protection(inner, current_per_rms(motor), period_s, protection)
+        _fill_protection(inner, current_per_rms(motor), period_s, protection, motor.current_max_a)
 
 
 def _fill_sensors(inner: InnerLoops, sensors: CurrentSensors) -> None:
@@ -192,7 +216,9 @@ def _fill_link(inner: InnerLoops, motor: PmsmParameters, period_s: float, supply
     inner.supplied = 1
 
 
-def _fill_protection(inner: InnerLoops, per_rms: float, period_s: float, protection: Protection) -> None:
+def _fill_protection(
+    inner: InnerLoops, per_rms: float, period_s: float, protection: Protection, current_max_a: float
+) -> None:
     def of(limit: float | None) -> float:
         return math.inf if limit is None else limit
 
@@ -212,4 +238,20 @@ def _fill_protection(inner: InnerLoops, per_rms: float, period_s: float, protect
         inner.warning_a2s = overload.warning_percent / 100.0 * inner.overload_max_a2s
         inner.clear_a2s = overload.clear_percent / 100.0 * inner.overload_max_a2s
         inner.overload_trips = overload.trips
+    if protection.stage is not None:
+        most_a = min(current_max_a, per_rms * (math.inf if overload is None else overload.peak_a_rms))
+        _fill_stage(inner, protection.stage, per_rms, period_s, most_a)
     inner.protected = 1
+
+
+def _fill_stage(inner: InnerLoops, stage: StageHeat, per_rms: float, period_s: float, most_a: float) -> None:
+    """``most_a``: amplitude that it lets through while it is cold."""
+    inner.stage_heats = 1
+    inner.stage_c = inner.ambient_c = stage.ambient_c
+    inner.stage_share = period_s / stage.time_constant_s
+    inner.rise_k_a2 = stage.rise_k / (per_rms * stage.at_a_rms) ** 2
+    inner.stage_max_c, inner.stage_clear_c = stage.max_c, stage.clear_c
+    inner.derate_from_c = math.inf
+    if stage.derate_from_c is not None:
+        inner.derate_from_c = stage.derate_from_c
+        inner.derate_a_k = most_a / (stage.max_c - stage.derate_from_c)

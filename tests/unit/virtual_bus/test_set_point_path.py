@@ -188,3 +188,17 @@ def test_a_torque_of_cst_is_reached_by_its_slope() -> None:
     up, down = np.minimum(20.0 * at_ms, 300.0), np.maximum(300.0 - 20.0 * at_ms, -200.0)
     assert course[True] == pytest.approx(np.concatenate([up, down]), abs=2 * 20.0 / 16.0)
     assert course[False] == pytest.approx(np.repeat([300.0, -200.0], 30), abs=1.0)
+
+
+def test_the_slope_of_cst_is_left_with_its_mode() -> None:
+    """Profile torque goes by 6087h as it is then."""
+    drive = DriveParameters(path=SetPointPath(torque_slope=True))
+    bench = MotionBench(Mode.CYCLIC_SYNCHRONOUS_TORQUE, drive, enabled=False)
+    bench.set(Object.TORQUE_SLOPE, "I", 1_000)
+    bench.enable()
+    bench.set(Object.TORQUE_SLOPE, "I", 100_000)
+    bench.set(Object.MODES_OF_OPERATION, "b", Mode.PROFILE_TORQUE)
+    bench.wait_ms(2)
+    bench.set(Object.TARGET_TORQUE, "h", 300)
+    bench.wait_ms(6)
+    assert bench.read(Object.TORQUE_DEMAND, "h") == 300
