@@ -53,7 +53,7 @@ _CHANGED_MAX = 24
 """Deliveries up to which a pattern is changed delivery by delivery."""
 _DOUBLINGS = 16
 """A pattern is repeated two to this power times to decide whether its gain exceeds a level."""
-_SCORING = 10
+SCORING = 10
 """The same, to rank many."""
 _FORGOTTEN = 1e-40
 """Entries of Phi below which the beginning is forgotten: its square changes no digit."""
@@ -146,8 +146,8 @@ def pattern_gains(
         else:
             levels = near * _NEAR ** (2.0 * parts - 1.0) * np.ones((len(patterns), 1))
             near = None
-        maps = _letter_maps(loop, [Letter(letter) for letter in letters], levels.ravel())
-        bounded = _often(_own_product(maps.reshaped((-1, *levels.shape)), chains)).bounded
+        maps = letter_maps(loop, [Letter(letter) for letter in letters], levels.ravel())
+        bounded = often(_own_product(maps.reshaped((-1, *levels.shape)), chains)).bounded
         lowest = np.where(bounded.any(axis=1), np.argmax(bounded, axis=1), levels.shape[1])
         edges = np.hstack([low[:, None], levels, high[:, None]])
         low, high = edges[rows, lowest], edges[rows, lowest + 1]
@@ -268,19 +268,19 @@ class _Contest:
         self.letters = _letters(loop)
         self.best: Chain = ()
         self._level = level * (1.0 + _WORTHWHILE)
-        self.maps = _letter_maps(loop, self.letters, self._level)
+        self.maps = letter_maps(loop, self.letters, self._level)
 
     def enter(self, entries: Entries[ValueMap]) -> bool:
         """Enter chains; True if one wins: of those that exceed the level, the last to do so as it rises."""
         chains, total = entries
-        survivors = [chains[place] for place in np.flatnonzero(~_often(total, _SCORING).bounded)]
+        survivors = [chains[place] for place in np.flatnonzero(~often(total, SCORING).bounded)]
         if not survivors:
             return False
         share = _WORTHWHILE
         while share > 0.5 * _WORTHWHILE:
             level = self._level * (1.0 + share)
-            maps = _letter_maps(self._loop, self.letters, level)
-            left = np.flatnonzero(~_often(product_of(maps, survivors), _SCORING).bounded)
+            maps = letter_maps(self._loop, self.letters, level)
+            left = np.flatnonzero(~often(product_of(maps, survivors), SCORING).bounded)
             if len(left):
                 survivors, self._level, self.maps = [survivors[place] for place in left], level, maps
                 share = min(2.0 * share, 1.0)
@@ -296,7 +296,7 @@ class _Contest:
             self.enter(([chain], product_of(self.maps, [chain])))
 
 
-def _often(total: ValueMap, doublings: int = _DOUBLINGS) -> ValueMap:
+def often(total: ValueMap, doublings: int = _DOUBLINGS) -> ValueMap:
     """Repeat each two to the power ``doublings`` times, or until its beginning is forgotten."""
     names = ("Phi", "W", "Q", "bounded")
     flat = total.reshaped((-1,))
@@ -315,11 +315,11 @@ def _often(total: ValueMap, doublings: int = _DOUBLINGS) -> ValueMap:
 
 def _nearness(total: ValueMap) -> Array:
     """Return how near each gain is to the level of the maps, from 0 to 1; 2 beyond it."""
-    total = _often(total, _SCORING)
+    total = often(total, SCORING)
     return np.where(total.bounded, largest_product(total.W, total.Q), _BEYOND)
 
 
-def _letter_maps(loop: SwitchedLoop, letters: Sequence[Letter], gains: ArrayLike) -> ValueMap:
+def letter_maps(loop: SwitchedLoop, letters: Sequence[Letter], gains: ArrayLike) -> ValueMap:
     """Return the value map of each letter at each of ``gains``, and last that of no time at all."""
     steps = sorted({step for letter in letters for step in letter.steps}, key=repr)
     by_step = dict(zip(steps, step_maps(loop, steps, gains), strict=True))

@@ -67,8 +67,9 @@ _SIZE_MAX = 42.0
 """States, times nodes to the power 1/3: this takes minutes, and grows by the sixth power."""
 _SIZE_REMEMBERING_MAX = 45.0
 """The same if nodes remember one delivery and are squared."""
-_FURTHER_UNKNOWNS_MAX, _FURTHER_CORNERS_MAX = 1500, 100
-"""Of a graph whose nodes remember more: it takes some seconds."""
+_FURTHER_UNKNOWNS_MAX, _FURTHER_CORNERS_MAX, _FURTHER_UNEVEN_MAX = 1500, 100, 700
+"""Of a graph whose nodes remember more: it takes some seconds. The last: corners where periods are uneven,
+which are many and alike; with 672 half a minute."""
 _WORTH_REMEMBERING = 0.02
 """Share of what lies between certified and found that one more delivery remembered has to win, else the next
 is not tried."""
@@ -122,18 +123,18 @@ def certify_gain(
         L = coordinates(loop, patterns, units_at * found)
         best: SequenceCertificate | None = None
         for nodes, edges in _graphs(loop, L, remembered, other):
-            certificate = _least_gain(loop, nodes, edges, L, found)
+            certificate = least_gain(loop, nodes, edges, L, found)
             before = math.inf if best is None else best.figure / found - 1.0
             if certificate is not None and (best is None or certificate.figure < best.figure):
                 best = certificate
-            if best is not None and _near_enough(before, best.figure / found - 1.0):
+            if best is not None and near_enough(before, best.figure / found - 1.0):
                 break
         if best is not None:
             return best
     return None
 
 
-def _near_enough(before: float, now: float) -> bool:
+def near_enough(before: float, now: float) -> bool:
     """Return True where no more needs to be remembered. ``now``: what lies between certified and found, as a
     share; ``before``: with less memory."""
     return now < _CLOSE - 1.0 or (math.isfinite(before) and now > (1.0 - _WORTH_REMEMBERING) * before)
@@ -158,7 +159,7 @@ def certify_decay(
         before = math.inf if best is None else 1.0 - best.figure / worst
         if certificate is not None and (best is None or certificate.figure > best.figure):
             best = certificate
-        if best is not None and _near_enough(before, 1.0 - best.figure / worst):
+        if best is not None and near_enough(before, 1.0 - best.figure / worst):
             break
     return best
 
@@ -171,14 +172,15 @@ def _graphs(
     by_period = other is not None or loop.network.uneven_s > 0.0
     count = node_count(loop.network) if by_period else delivery_node_count(loop.network)
     for deliveries in memories_of(loop, remembered, count):
-        if by_period and deliveries > 1:
+        if other is not None and deliveries > 1:
             return
         nodes, edges = edges_of(loop, L, deliveries, other)
         if not by_period:
             nodes, edges = between_deliveries(edges)
         unknowns = nodes * loop.kept * (loop.kept + 1) // 2
         corners = sum(len(edge.corners.times_s) for edge in edges)
-        if deliveries > 1 and (unknowns > _FURTHER_UNKNOWNS_MAX or corners > _FURTHER_CORNERS_MAX):
+        most = _FURTHER_UNEVEN_MAX if by_period else _FURTHER_CORNERS_MAX
+        if deliveries > 1 and (unknowns > _FURTHER_UNKNOWNS_MAX or corners > most):
             return
         yield nodes, edges
 
@@ -200,9 +202,13 @@ def memories_of(loop: SwitchedLoop, remembered: Sequence[int], nodes: int) -> Se
     return remembered
 
 
-def _least_gain(
+def least_gain(
     loop: SwitchedLoop, nodes: int, edges: list[Edge], L: Array, found: float
 ) -> SequenceCertificate | None:
+    """Return the least gain that functions of this graph certify, in coordinates ``L``; None if none can.
+
+    ``found``: gain at which the levels begin, rad/s per N m.
+    """
     level, slope = math.log(found), -2.0
     last: tuple[float, float, list[Array]] | None = None
     for _ in range(_LEVELS):

@@ -294,8 +294,13 @@ def coordinates(loop: SwitchedLoop, patterns: Sequence[Pattern], gain: float) ->
     Delays of whole periods are included: without them an entry that matters in only one node, perhaps never
     visited by ``patterns``, would count as nothing, and every switching that involves it as large.
     """
+    return coordinates_of(loop, [*patterns, *_whole_delays(loop)], gain)
+
+
+def coordinates_of(loop: SwitchedLoop, patterns: Sequence[Pattern], gain: float) -> Array:
+    """Return the same of these patterns alone."""
     total = np.zeros((loop.kept, loop.kept))
-    for pattern in [*patterns, *_whole_delays(loop)]:
+    for pattern in patterns:
         maps = step_maps(loop, pattern.steps, gain)
         for phase in range(len(maps)):
             whole = maps[phase]

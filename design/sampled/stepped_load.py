@@ -31,7 +31,7 @@ _ORDER = 2
 """Of the polynomials, where the inertia is not one alone."""
 _ROOM = 2e-3
 """Share by which norms then fall, for what the polynomials leave out."""
-_SPEED = 1
+SPEED = 1
 """Place of the speed, or of its error, in the state: the inertia is in its row alone."""
 
 
@@ -85,7 +85,7 @@ class SteppedLoad:
         between; ``parts``: of the period in which the load may come."""
         self._loop, self._period_s, self.order = copy.copy(loop), period_s, _ORDER if shafts.half else 0
         self._close, self._parts = close, parts
-        self._loop.model = _lighter(loop.model, shafts.middle)
+        self._loop.model = lighter(loop.model, shafts.middle)
         loaded = LoadedPeriods(self._loop, period_s, 1)
         whole = loaded.period(usual)[0]
         n, size = len(loop.model.A), len(whole) - 1
@@ -103,14 +103,14 @@ class SteppedLoad:
         ):
             raise NoSolution("certificate of the peak", "at rest under the load the shaft does not stay")
         self._slope = np.zeros_like(rates)
-        self._slope[_SPEED] = shafts.half * rates[_SPEED]
+        self._slope[SPEED] = shafts.half * rates[SPEED]
         self._rates = rates
-        self._rates[_SPEED] *= shafts.middle
+        self._rates[SPEED] *= shafts.middle
         self._flows: dict[float, TaylorMap] = {}
-        self.light = lightest = _lighter(loop.model, shafts.middle + shafts.half)
-        self.heavy = _lighter(loop.model, shafts.middle - shafts.half)
+        self.light = lightest = lighter(loop.model, shafts.middle + shafts.half)
+        self.heavy = lighter(loop.model, shafts.middle - shafts.half)
         # bounds grow with the rates, but for a decay that is slower for the others
-        slower = math.exp(-2.0 * shafts.half * loop.model.A[_SPEED, _SPEED] * period_s)
+        slower = math.exp(-2.0 * shafts.half * loop.model.A[SPEED, SPEED] * period_s)
         self._begin(n, size, slower * start_curvature(lightest, period_s))
         of_state, of_input, _ = error_curvature(lightest, period_s)
         share = slower * (period_s / _WITHIN) ** 2 / 8.0
@@ -335,9 +335,9 @@ class NormedWalks:
         return flat, wider, self._step.apart_by(z, period, opened, T)
 
 
-def _lighter(model: SpeedModel, factor: float) -> SpeedModel:
+def lighter(model: SpeedModel, factor: float) -> SpeedModel:
     """Return ``model`` with so many times the inverse of its inertia."""
     A, B1, B2 = (each.copy() for each in (model.A, model.B1, model.B2))
     for each in (A, B1, B2):
-        each[_SPEED] *= factor
+        each[SPEED] *= factor
     return replace(model, A=A, B1=B1, B2=B2)

@@ -36,6 +36,9 @@ class PeaksOptions:
     decay: Annotated[
         bool, typer.Option("--decay", help="The slowest decay over the same sequences as well.")
     ] = False
+    gain: Annotated[
+        bool, typer.Option("--gain", help="The gain from load to speed over the same sequences as well.")
+    ] = False
     load_nm: LoadOption = None
     as_json: JsonOption = False
 
@@ -49,7 +52,9 @@ def peaks(asked: PeaksOptions) -> None:
     rest of motor and drive is what the controller was made for. A static gain that applies samples as they
     arrive has any delay up to the largest of its network.
 
-    --decay bounds how slowly the loop comes to rest, over the same sequences, inertias and delays.
+    --decay bounds how slowly the loop comes to rest, over the same sequences, inertias and delays; --gain
+    the L2 gain from load torque to speed error, but over delays that vary, and for a predictor over lost
+    commands and inertias, which no certificate of it covers.
 
     Examples:
       hil analyse peaks examples/controllers/ling2012-fused.toml --losses-max 1
@@ -72,6 +77,7 @@ def peaks(asked: PeaksOptions) -> None:
         _inertias(asked.inertia_percent),
         None if asked.delay_ms is None else DelayRange(*_delays_s(asked.delay_ms)),
         decay=asked.decay,
+        gain=asked.gain,
     )
     put(figures, asked.as_json, print_figures)
 

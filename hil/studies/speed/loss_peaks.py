@@ -9,6 +9,7 @@ from servobench.design.sampled.analysis import analyse_loop, with_peak
 from servobench.design.sampled.held_loop import HeldLoop, Strategy
 from servobench.design.sampled.jump_loop import Remembering
 from servobench.design.sampled.loss_decay import DecayPerSecond, losses_decay
+from servobench.design.sampled.loss_gain import GainBound, losses_gain
 from servobench.design.sampled.loss_peak import losses_peak
 from servobench.design.sampled.peak_steps import PeakBound
 from servobench.design.sampled.varying_delay import DelayRange
@@ -29,9 +30,10 @@ def peaks_figures(
     delays: DelayRange | None = None,
     *,
     decay: bool = False,
+    gain: bool = False,
 ) -> dict[str, Any]:
     """Return the largest error after a load step, certified and found, for each number of losses in a row;
-    with ``decay`` the slowest decay too.
+    with ``decay`` the slowest decay too, with ``gain`` the gain.
 
     ``load_nm``: None: that of the file's design, or 1 N m; ``inertias``: smallest and largest, as multiples
     of the one that the controller was made for; ``delays``: None: those that it was made for. Raises BadInput
@@ -49,6 +51,7 @@ def peaks_figures(
         "peaks": [
             _bounded(remembering, readings, commands, load_nm, inertias, delays)
             | (_decaying(remembering, readings, commands, inertias, delays) if decay else {})
+            | (_amplifying(remembering, readings, commands, inertias, delays) if gain else {})
             for readings in range(readings_max + 1)
             for commands in range(commands_max + 1)
         ],
@@ -102,6 +105,32 @@ def decay_of(
         made, losses = remembering, (readings_max, commands_max)
         return predictor_decay(made.loop, made.kalman, made.walks, losses, inertias, delays)
     return losses_decay(remembering, readings_max, commands_max, inertias, delays)
+
+
+def gain_of(
+    remembering: Remembering,
+    readings_max: int,
+    commands_max: int,
+    inertias: tuple[float, float] = (1.0, 1.0),
+    delays: DelayRange | None = None,
+) -> GainBound:
+    """Return the gain over the same set as :func:`peak_of`, rad/s per N m. Raises NoSolution."""
+    if isinstance(remembering, RandomHeld):
+        own = remembering.loop
+        loop = HeldLoop(own.model, own.K, replace(own.network, losses_max=readings_max))
+        if inertias == (1.0, 1.0) and not commands_max and delays == _arriving(remembering):
+            analysis = analyse_loop(loop)
+            if analysis.gain_certified is None:
+                raise NoSolution("certificate of the gain", analysis.without_certificate)
+            return GainBound(analysis.gain_certified, analysis.gain_found)
+        remembering = RandomHeld(loop)
+    if isinstance(remembering, RandomPredictor):
+        raise NoSolution(
+            "certificate of the gain", "not made for a predictor here: that of its file is over lost readings"
+        )
+    if delays is not None:
+        raise NoSolution("certificate of the gain", "not made over delays that vary")
+    return losses_gain(remembering, readings_max, commands_max, inertias)
 
 
 def _decay_of_static_gain(loop: HeldLoop) -> DecayPerSecond:
@@ -158,3 +187,17 @@ def _decaying(
     except NoSolution as error:
         return {"decay_not_certified": str(error)}
     return {"decay_certified_per_s": bound.certified, "decay_found_per_s": bound.found}
+
+
+def _amplifying(
+    remembering: Remembering,
+    readings: int,
+    commands: int,
+    inertias: tuple[float, float],
+    delays: DelayRange | None,
+) -> dict[str, Any]:
+    try:
+        bound = gain_of(remembering, readings, commands, inertias, delays)
+    except NoSolution as error:
+        return {"gain_not_certified": str(error)}
+    return {"gain_certified": bound.certified, "gain_found": bound.found}

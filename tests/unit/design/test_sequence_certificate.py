@@ -37,7 +37,7 @@ def test_losses_alone_do_not_make_stamps_too_large(monkeypatch: pytest.MonkeyPat
         SampledNetwork(Strategy.STAMP, 0.002, 5, 0.02, 37 * 0.002),
     )
     assert loop.kept == 40
-    monkeypatch.setattr(sequence_certificate, "_least_gain", lambda *_: SequenceCertificate([], 0.0, 1.0))
+    monkeypatch.setattr(sequence_certificate, "least_gain", lambda *_: SequenceCertificate([], 0.0, 1.0))
     assert certify_gain(loop, regular_patterns(loop)[:1], 1e3) is not None
 
 
