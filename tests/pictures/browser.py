@@ -30,9 +30,10 @@ _ANSWER_MAX_NS: Final = 300 * NS_PER_S
 class Browser:
     """One page of it."""
 
-    def __init__(self, asks: int, answers: int) -> None:
+    def __init__(self, asks: int, answers: int, zoom: float) -> None:
         """``asks``: a descriptor that commands are written to; ``answers``: that what it says comes from."""
         self._asks, self._answers = asks, answers
+        self._zoom = zoom
         self._said = b""
         self._number = 0
         self._clock = MonotonicClock()
@@ -41,16 +42,14 @@ class Browser:
         self._session = self._ask("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         self._ask("Page.enable")
 
-    def show(self, url: str, size: tuple[int, int], theme: str, zoom: float = 1.0) -> None:
+    def show(self, url: str, size: tuple[int, int], theme: str) -> None:
         """Open a page in a window of ``size``, px; ``theme``: light or dark, what the reader's system asks
-        for; ``zoom``: the browser's own."""
-        width, height = (round(pixels / zoom) for pixels in size)
+        for."""
+        width, height = (round(pixels / self._zoom) for pixels in size)
+        # A scale of 0 leaves the one that the browser was begun with: another would be an emulated screen's,
+        # for which the viewer draws its page twice too large.
         self._ask(
-            "Emulation.setDeviceMetricsOverride",
-            width=width,
-            height=height,
-            deviceScaleFactor=zoom,
-            mobile=False,
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=0, mobile=False
         )
         scheme = {"name": "prefers-color-scheme", "value": theme}
         self._ask("Emulation.setEmulatedMedia", features=[scheme])
@@ -91,12 +90,13 @@ class Browser:
 
 
 @contextmanager
-def browser(*, gl: bool = False) -> Iterator[Browser]:
-    """One that ends with the block; ``gl``: with WebGL, which the viewer in a browser draws by."""
+def browser(*, gl: bool = False, zoom: float = 1.0) -> Iterator[Browser]:
+    """One that ends with the block; ``gl``: with WebGL, which the viewer in a browser draws by; ``zoom``:
+    pixels of the screen for one of a page."""
     assert PROGRAM is not None, "no chromium: apt-get install chromium"
     reads, asks = os.pipe()
     answers, writes = os.pipe()
-    options = *_OPTIONS, *(_WITH_GL if gl else _FLAT)
+    options = *_OPTIONS, *(_WITH_GL if gl else _FLAT), f"--force-device-scale-factor={zoom:.6f}"
     with tempfile.TemporaryDirectory() as profile:
         # it reads from descriptor 3 and writes to 4, whatever they are here
         moved = f"exec 103<&{reads} 104>&{writes}; exec 3<&103 4>&104 103<&- 104>&-"
@@ -109,7 +109,7 @@ def browser(*, gl: bool = False) -> Iterator[Browser]:
         os.close(reads)
         os.close(writes)
         try:
-            yield Browser(asks, answers)
+            yield Browser(asks, answers, zoom)
         finally:
             os.close(asks)
             os.close(answers)

@@ -21,10 +21,11 @@ _LANES_PX: Final = 300
 
 def light_pages(recording: Path, sizes: tuple[tuple[int, int], ...]) -> Iterator[bytes]:
     """The page that a recording opens with, on light ground, in windows of these sizes, which are zoomed."""
-    with _served(page_file(recording)) as url, browser(gl=True) as shown:
+    with _served(page_file(recording)) as url:
         for size in sizes:
-            shown.show(f"{url}&theme=light", size, "light", size[0] / LAID_OUT_FOR[0])
-            yield _settled(shown)
+            with browser(gl=True, zoom=size[0] / LAID_OUT_FOR[0]) as shown:
+                shown.show(f"{url}&theme=light", size, "light")
+                yield _settled(shown)
 
 
 def _settled(shown: Browser) -> bytes:
