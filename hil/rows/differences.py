@@ -7,6 +7,7 @@ are read.
 
 import re
 from collections.abc import Iterable, Mapping
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -42,6 +43,7 @@ real ones are held against, by exclusive or. Null counts as 0."""
 _KNOWN: Final = {column.name: column for column in COLUMNS}
 
 
+@cache
 def names_in(stored: str) -> tuple[str, ...]:
     """Name of the column that one of a file holds, and of those that it was held against."""
     return tuple(re.split("[-^]", stored))
@@ -75,7 +77,8 @@ def _described(field: pa.Field, name: str, kind: pa.DataType, unit: str) -> pa.F
 def stored_batch(batch: pa.RecordBatch) -> pa.RecordBatch:
     """Return a batch of the file for one of the columns themselves."""
     columns = {name: batch.column(name) for name in batch.schema.names}
-    whole = {name: _bits(columns[name]) for stored in DIFFERENCES.values() for name in names_in(stored)}
+    itself = WholeColumns(batch)
+    whole = {name: itself.bits(name) for stored in DIFFERENCES.values() for name in names_in(stored)}
     for name, stored in DIFFERENCES.items():
         values = whole[name]
         for other in names_in(stored)[1:]:
@@ -84,23 +87,61 @@ def stored_batch(batch: pa.RecordBatch) -> pa.RecordBatch:
     return pa.record_batch([*columns.values()], schema=stored_schema(batch.schema))
 
 
+class WholeColumns:
+    """The columns themselves of a batch of a file."""
+
+    def __init__(self, batch: pa.RecordBatch) -> None:
+        self._stored = {
+            names_in(stored)[0]: (stored, column)
+            for stored, column in zip(batch.schema.names, batch.columns, strict=True)
+        }
+        self._bits: dict[str, NDArray[np.int64]] = {}
+        self._nothing: dict[str, NDArray[np.bool_]] = {}
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._stored
+
+    def stored(self, name: str) -> tuple[str, pa.Array]:
+        """Return the name of a column in the file, and what the file has of it. Raises LookupError."""
+        return self._stored[name]
+
+    def bits(self, name: str) -> NDArray[np.int64]:
+        """Return a column's values, whole numbers or the 64 bits of real ones, (n,), and 0 for null.
+
+        Raises LookupError for one that lacks another.
+        """
+        if name not in self._bits:
+            held, column = self._stored[name]
+            bits = _bits(column)
+            for other in names_in(held)[1:]:
+                bits = bits ^ self.bits(other) if "^" in held else bits + self.bits(other)
+            nothing = self.nothing(name)
+            self._bits[name] = bits if nothing is None else np.where(nothing, 0, bits)
+        return self._bits[name]
+
+    def nothing(self, name: str) -> NDArray[np.bool_] | None:
+        """Return where a column is null, (n,); None if nowhere."""
+        if name not in self._nothing:
+            _, column = self._stored[name]
+            if not column.null_count:
+                return None
+            self._nothing[name] = values_of(column.is_null())
+        return self._nothing[name]
+
+
 def whole_batch(batch: pa.RecordBatch) -> pa.RecordBatch:
     """Return the columns themselves for a batch of a file. Raises LookupError for one that lacks another."""
-    stored = {names_in(field.name)[0]: place for place, field in enumerate(batch.schema)}
-    found: dict[str, pa.Array] = {}
+    columns = WholeColumns(batch)
 
-    def whole(name: str) -> pa.Array:
-        if name not in found:
-            found[name] = batch.column(stored[name])
-            held = batch.schema.field(stored[name]).name
-            if others := names_in(held)[1:]:
-                values = _bits(found[name])
-                for other in others:
-                    values = values ^ _bits(whole(other)) if "^" in held else values + _bits(whole(other))
-                found[name] = _like(found[name], values.view(np.float64) if "^" in held else values)
-        return found[name]
+    def whole(stored: str) -> pa.Array:
+        name, *others = names_in(stored)
+        column = columns.stored(name)[1]
+        if not others:
+            return column
+        bits = columns.bits(name)
+        return _like(column, bits.view(np.float64) if "^" in stored else bits)
 
-    return pa.record_batch([whole(name) for name in stored], schema=whole_schema(batch.schema))
+    return pa.record_batch([whole(name) for name in batch.schema.names], schema=whole_schema(batch.schema))
 
 
 def fields_for(schema: pa.Schema, names: Iterable[str]) -> list[int]:
@@ -114,8 +155,13 @@ def fields_for(schema: pa.Schema, names: Iterable[str]) -> list[int]:
 
 
 def _bits(column: pa.Array) -> NDArray[np.int64]:
-    """Values of 64 bits as whole numbers, (n,), and 0 for null."""
-    return values_of(column.fill_null(0)).view(np.int64)
+    """Values as whole numbers, real ones by their 64 bits, (n,); any for null."""
+    if not pa.types.is_floating(column.type) and column.type != pa.int64():
+        column = column.cast("int64")
+    if column.null_count:
+        values = column.buffers()[1]
+        column = pa.Array.from_buffers(column.type, len(column), [None, values], 0, column.offset)
+    return values_of(column).view(np.int64)
 
 
 def _like(column: pa.Array, values: NDArray[np.int64] | NDArray[np.float64]) -> pa.Array:

@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import Instant
 from servobench.hil.loop.cycle_record import COLUMNS, FATE_SAMPLE, NAMES, NOTHING, Column
-from servobench.hil.rows.arrow_file import MAGIC, finish_file, is_whole, length_of_batch, values_of
+from servobench.hil.rows.arrow_file import MAGIC, finish_file, is_whole, length_of_batch
 from servobench.hil.rows.differences import (
+    WholeColumns,
     fields_for,
     stored_batch,
     stored_schema,
@@ -178,7 +179,7 @@ def read_records(path: Path, first_cycle: int = 0, columns: Sequence[str] = NAME
     if schema is not None:
         _check_schema(path, schema)
         options = pa.ipc.IpcReadOptions(included_fields=fields_for(schema, columns))
-    for batch in _batches(path, options):
+    for batch in _stored_batches(path, options):
         with damage_told(path):
             rows = _rows_of(batch, first_cycle, columns)
         yield rows
@@ -195,7 +196,7 @@ def read_some(path: Path, numbers: Iterable[int]) -> Iterator[Rows]:
             batch = reader.get_batch(number)
             batch.validate(full=True)
             _check_values(path, f"batch {number + 1}", batch)
-            yield _rows_of(whole_batch(batch), 0)
+            yield _rows_of(batch, 0)
 
 
 def finish_records(path: Path) -> int:
@@ -205,7 +206,7 @@ def finish_records(path: Path) -> int:
     """
     schema = _schema_of(path) or stored_schema(records_schema({}))
     finish_file(path, schema, lambda: _stored_batches(path), _OPTIONS)
-    return sum(batch.num_rows for batch in _batches(path))
+    return sum(batch.num_rows for batch in _stored_batches(path))
 
 
 def _schema_of(path: Path) -> pa.Schema | None:
@@ -336,18 +337,20 @@ def _column(values: NDArray[Any], column: Column, zero: Instant) -> pa.Array:
 
 
 def _rows_of(batch: pa.RecordBatch, first_cycle: int, columns: Sequence[str] = NAMES) -> Rows:
+    """``batch``: as it lies in a file, or with the columns themselves."""
+    whole = WholeColumns(batch)
     rows = np.empty(batch.num_rows, np.dtype([(name, ROW_DTYPE[name]) for name in columns]))
     for column in (each for each in COLUMNS if each.name in columns):
-        if column.name not in batch.schema.names:  # of a later format than the file
-            rows[column.name] = np.nan if column.is_real else NOTHING
+        values = rows[column.name]
+        if column.name not in whole:  # of a later format than the file
+            values[:] = np.nan if column.is_real else NOTHING
             continue
-        stored = batch.column(column.name)
-        if not column.is_real:
-            stored = stored.cast("int64")
-        values = values_of(stored.fill_null(np.nan if column.is_real else NOTHING))
+        bits, nothing = whole.bits(column.name), whole.nothing(column.name)
+        values[:] = bits.view(np.float64) if column.is_real else bits
         if column.is_instant and first_cycle:
-            values = np.where(values == NOTHING, NOTHING, values + first_cycle)
-        if column.none != NOTHING:  # what a reading lacks is written otherwise than a reading that lacks
-            values = np.where((values == NOTHING) & (rows["fate"] == FATE_SAMPLE), column.none, values)
-        rows[column.name] = values
+            values += first_cycle
+        if nothing is not None:
+            values[nothing] = np.nan if column.is_real else NOTHING
+            if column.none != NOTHING:  # what a reading lacks is written otherwise than a reading that lacks
+                values[nothing & (rows["fate"] == FATE_SAMPLE)] = column.none
     return rows
