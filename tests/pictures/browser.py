@@ -49,7 +49,11 @@ class Browser:
         # A scale of 0 leaves the one that the browser was begun with: another would be an emulated screen's,
         # for which the viewer draws its page twice too large.
         self._ask(
-            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=0, mobile=False
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=0,
+            mobile=False,
         )
         scheme = {"name": "prefers-color-scheme", "value": theme}
         self._ask("Emulation.setEmulatedMedia", features=[scheme])
