@@ -80,6 +80,9 @@ def test_nothing_is_null_and_no_number_stands_for_it(tmp_path: Path, rows: Rows)
     table = read_table(path).slice(0, 2).to_pydict()
     for name, known in {"delay_ns": -1, "statusword": 0x1637, "torque_told_at": -1, "torque_nm": 1.0}.items():
         assert table[name] == [known, None]
+    assert np.concatenate(list(read_records(path, ZERO))).tobytes() == rows.tobytes()
+    part = rows_of_table(read_table(path).slice(1, 40))
+    assert part.tobytes() == rows_of_table(read_table(path))[1:41].tobytes()
     whole = pa.ipc.open_file(path).read_all()
     for column in whole.columns:
         if pa.types.is_integer(column.type) and column.null_count < len(column):
