@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import chain, combinations, pairwise, permutations
 from struct import unpack_from
 
@@ -78,7 +79,7 @@ class ModesRig:
     in_force: int | None = None
     """The last controlword heard."""
 
-    @property
+    @cached_property
     def plan(self) -> PdoPlan:
         """0x6040 stands in four RPDOs."""
         plan = all_modes_plan(NODE, synchronous_command=self.synchronous)
