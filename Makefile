@@ -8,7 +8,8 @@
 #   make draws       the tests of which make test takes a few drawn cases, with all of them
 #   make edits       edit the files of a campaign EDITS times between its runs: no row may rest on another content
 #   make stranger    what README, documents, hil init and --help show typed, from a wheel installed in an environment
-#                    of its own, in a bare folder: on the oldest and on the newest Python of this machine (PYTHONS)
+#                    of its own, in a bare folder: on the oldest Python of this machine (PYTHONS), and README and
+#                    hil init on the newest
 #   make test-dask   campaigns on a Dask cluster of this machine
 #   make test-vcan   the tests on vcan0: native SocketCAN, or inside User Mode Linux
 #   make test-can    the tests on two CAN controllers of one bus: CAN0=can0 CAN1=can1, or emulated by QEMU

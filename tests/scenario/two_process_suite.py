@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from servobench.hil.pytest_plugin import StartDrive
-from tests.scenario.processes import EXAMPLES, changed_bench, run
+from tests.scenario.processes import changed_bench, run
 
 CYCLES = 300
 """3 s at 100 Hz."""
@@ -31,37 +31,3 @@ class TwoProcesses:
         names = {path.name for path in (tmp_path / "run").iterdir()}
         assert {"run.rrd", "frames.arrow", "bench.toml", "summary.json"} <= names
         assert (tmp_path / "run" / "frames.arrow").stat().st_size > 0
-
-    def test_a_controller_of_one_s_own_runs_with_a_solver_in_every_cycle(
-        self, servo_bus: str, servo_process: StartDrive, tmp_path: Path
-    ) -> None:
-        servo_process(1)
-        mpc = EXAMPLES / "own_controller" / "mpc.toml"
-        _, summary, messages = run(mpc, servo_bus, tmp_path / "run")
-        assert summary["verdict"]["completed"] is True, messages
-        assert summary["cycles"] == CYCLES
-        assert 0.0 < summary["compute_us"]["p50"] <= summary["compute_us"]["max"]
-        assert (tmp_path / "run" / "axis1-controller.py").read_text() == mpc.with_suffix(".py").read_text()
-
-    def test_a_run_leaves_the_drive_as_it_found_it(
-        self, servo_bus: str, servo_process: StartDrive, tmp_path: Path
-    ) -> None:
-        """The load torque included: a second run of the same file starts from rest and passes too."""
-        servo_process(1)
-        bench = changed_bench(tmp_path, **self.limits)
-        runs = [run(bench, servo_bus, tmp_path / name) for name in ("first", "second")]
-
-        assert [status for status, _, _ in runs] == [0, 0], [
-            (summary.get("verdict"), messages) for _, summary, messages in runs
-        ]
-
-    def test_without_a_drive_the_run_ends_with_a_short_error(self, servo_bus: str, tmp_path: Path) -> None:
-        bench = changed_bench(tmp_path, connect_timeout_s=1.0)
-        status, summary, messages = run(bench, servo_bus, tmp_path / "run")
-
-        assert status == 3
-        assert summary["verdict"]["exit_status"] == 3
-        assert "node 1" in summary["verdict"]["reason"]
-        assert summary["cycles"] == 0
-        assert "node 1" in messages
-        assert "Traceback" not in messages

@@ -21,7 +21,6 @@ from tests.scenario.processes import simulated_drive
 
 ADAPTER: Final = "can7"
 BUS_OFF, UNACKNOWLEDGED, RESTARTED = (0x040, 0), (0x020, 0), (0x100, 0)
-WARNING, PASSIVE, ACTIVE = (0x004, 0x08), (0x004, 0x20), (0x004, 0x40)
 """Class, and detail of the controller (linux/can/error.h)."""
 CHECK: Final = "check the cable, its terminations, the bit rates, and that another node is on"
 _SIOCSIFFLAGS: Final = 0x8914

@@ -12,14 +12,16 @@ from struct import pack
 
 import pytest
 
-from tests.scenario.processes import HIL, simulated_drive
+from tests.draws import few_of
+from tests.scenario.processes import simulated_drive
+from tests.warm.start import hil
 
 COMMAND_LIMIT_S = 180
 TC = ("tc", "qdisc")
 BURST = 200
 
 
-@pytest.fixture(params=[10, 1])
+@pytest.fixture(params=few_of([1, 10], 1))
 def narrow(request: pytest.FixtureRequest, channel: str) -> Iterator[str]:
     """SPEC of the bus, whose queue has so many places while the test lasts."""
     if os.geteuid() or shutil.which(TC[0]) is None:
@@ -49,7 +51,10 @@ def test_a_scan_finds_who_is_there(narrow: str) -> None:
     with simulated_drive(narrow):
         ended = _hil("scan", "--bus", narrow, "--listen", "0.2", "--json")
     assert ended.returncode == 0, ended.stderr
-    assert [node["node_id"] for node in json.loads(ended.stdout)["bus"]["nodes"]] == [1]
+    found = json.loads(ended.stdout)
+    nodes = [(node["node_id"], node["profile"]) for node in found["bus"]["nodes"]]
+    assert nodes == [(1, "servo drive (CiA 402)")]
+    assert narrow in [link["spec"] for link in found["adapters"]["can_links"]]
 
 
 def test_a_dry_run_of_commissioning_reads_all_that_it_needs(narrow: str, tmp_path: Path) -> None:
@@ -63,5 +68,5 @@ def test_a_dry_run_of_commissioning_reads_all_that_it_needs(narrow: str, tmp_pat
 
 def _hil(*words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [*HIL, *words], capture_output=True, text=True, timeout=COMMAND_LIMIT_S, check=False
+        [*hil(), *words], capture_output=True, text=True, timeout=COMMAND_LIMIT_S, check=False
     )

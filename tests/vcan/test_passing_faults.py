@@ -9,11 +9,8 @@ import pytest
 from servobench.hil.verdict.verdict import ExitStatus
 from tests.scenario.processes import Observer
 from tests.vcan.adapter import (
-    ACTIVE,
     BUS_OFF,
-    PASSIVE,
     RESTARTED,
-    WARNING,
     drive_beside,
     echoes_like_a_driver,
     error,
@@ -64,22 +61,11 @@ def wall_clock_set(watching: Observer, _command: int) -> None:
         watching.wait(0.5)
 
 
-def errors_that_pass(watching: Observer, _command: int) -> None:
-    for state in (WARNING, PASSIVE, ACTIVE):
-        error(state)
-        watching.wait(OFF_S)
-
-
 @pytest.mark.parametrize(
     ("strike", "events"),
     [
         pytest.param(down_for_a_moment, ["is down: nothing is sent or heard", "is up again"], id="down"),
         pytest.param(bus_off_and_restarted, ["is bus-off", "was restarted after bus-off"], id="bus-off"),
-        pytest.param(
-            errors_that_pass,
-            ["transmit warning", "transmit error passive", "error active"],
-            id="error warning, error passive",
-        ),
         pytest.param(flooded, ["takes no frames", "takes frames again"], id="another process floods"),
         pytest.param(wall_clock_set, [], id="wall clock"),
     ],

@@ -1,12 +1,9 @@
-"""The pytest plugin's drives and benches on the kernel's virtual CAN interface."""
+"""The pytest plugin's drives on the kernel's virtual CAN interface."""
 
 import pytest
 
 from servobench.drivers.cia402.profile import State
 from servobench.hil.pytest_plugin import MakeDrive
-from servobench.hil.testing.bench_runs import BenchRunner
-from tests.scenario.processes import BENCH
-from tests.vcan.late_machine import NO_MATTER_HOW_LATE
 
 pytestmark = pytest.mark.servo_bus("vcan")
 
@@ -20,10 +17,3 @@ def test_a_drive_turns_and_stops_and_says_nothing_else(servo_bus: str, servo_dri
     rig.client.quick_stop(rig.deadline(5.0))
     rig.assert_reaches(State.SWITCH_ON_DISABLED, within_s=1.0)
     rig.assert_no_unintended_frame()
-
-
-def test_a_bench_passes_in_the_process_of_the_test(servo_bench: BenchRunner) -> None:
-    run = servo_bench(BENCH, NO_MATTER_HOW_LATE)
-    run.assert_passed()
-    run.assert_stayed(State.OPERATION_ENABLED)
-    run.assert_no_unintended_frame()
