@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from servobench.hil.configuration.config_files import toml_text
-from servobench.virtual_bus.child_python import python_command
 from tests.draws import few_of
 from tests.exits.misused_hooks import __file__ as hooks
-from tests.scenario.processes import run_command
+from tests.scenario.processes import HIL, run_command
 from tests.unit.hil.recorded_runs import BENCH
+from tests.warm.start import hil
 
 CODE = """
 import signal
@@ -53,10 +53,9 @@ def sweep(folder: Path, **own: str) -> Path:
 
 
 def ended(folder: Path, *before: str, **own: str) -> tuple[int, dict[str, object], str]:
-    command = python_command(
-        "servobench.hil.cli", "campaign", str(sweep(folder, **own)), "--out", str(folder / "out")
-    )
-    done = run_command([*before, *command, "--workers", "1", "--json"])
+    """``before``: what limits a process, which is none that is forked."""
+    command = ["campaign", str(sweep(folder, **own)), "--out", str(folder / "out"), "--workers", "1"]
+    done = run_command([*before, *(HIL if before else hil()), *command, "--json"])
     return done.returncode, json.loads(done.stdout), done.stderr
 
 
@@ -94,7 +93,7 @@ def test_what_a_controller_has_replaced_is_named_wherever_it_ran(tmp_path: Path,
     del written["own"]
     written["change"]["drive.axis1.controller"] = controller
     path.write_text(toml_text(written), encoding="utf-8")
-    command = python_command("servobench.hil.cli", "campaign", str(path), "--out", str(tmp_path / "out"))
+    command = [*hil(), "campaign", str(path), "--out", str(tmp_path / "out")]
     done = run_command([*command, "--workers", workers, "--json"])
     assert done.returncode == 3, done.stderr
     said = json.loads(done.stdout)["error"]

@@ -12,6 +12,7 @@ import pytest
 from servobench.hil.recording.run_metadata import read_summary
 from servobench.hil.terminal.run_object import read_back
 from servobench.virtual_bus.child_python import python_command
+from tests.draws import few_of
 from tests.exits.misused_hooks import __file__ as hooks
 from tests.scenario.processes import (
     BENCH,
@@ -27,6 +28,7 @@ from tests.scenario.processes import (
 )
 from tests.warm.start import hil
 
+real_time = pytest.mark.xdist_group("real time")
 SEED, RUNS = 5, 6
 
 
@@ -48,8 +50,7 @@ def test_whatever_the_user_s_code_does_the_command_ends_as_documented() -> None:
     assert f"{RUNS} commands ended" in done.stdout
 
 
-@pytest.mark.xdist_group("real time")
-@pytest.mark.parametrize("kind", ["pytest", "hub", "campaign"])
+@pytest.mark.parametrize("kind", few_of([pytest.param("hub", marks=real_time), "pytest", "campaign"], 1))
 def test_nor_elsewhere_does_it_make_a_run_pass(kind: str) -> None:
     command = [sys.executable, "-m", "tests.exits.elsewhere", kind, "--runs", "2", "--seed", str(SEED)]
     done = run_command(command, Path(__file__).parents[2])
@@ -58,12 +59,12 @@ def test_nor_elsewhere_does_it_make_a_run_pass(kind: str) -> None:
     assert ", 0 wrong" in done.stdout
 
 
-@pytest.mark.xdist_group("real time")
+@real_time
 def test_a_command_that_is_gone_has_its_drive_stopped_and_its_recording_finished(tmp_path: Path) -> None:
     bus = hub_name("gone")
     bench = with_hooks(changed_bench(tmp_path), "output", "print('bye'); ctypes.CDLL(None)._exit(0)")
     with simulated_drive(bus), observer(bus) as watching:
-        process = start_run(bench, bus, tmp_path / "run")
+        process = start_run(bench, bus, tmp_path / "run", by=hil())
         out, said = process.communicate(timeout=60)
         assert watching.time_to_rest(watching.now(), 1.0) >= 0
     assert process.returncode == 6, said
@@ -76,13 +77,13 @@ def test_a_command_that_is_gone_has_its_drive_stopped_and_its_recording_finished
     assert told["digest"] == summary_of(tmp_path / "run")["digest"]
 
 
-@pytest.mark.xdist_group("real time")
+@real_time
 def test_a_function_replaced_by_the_user_s_code_is_named_and_the_drive_is_stopped(tmp_path: Path) -> None:
     """Nothing in the process can be relied upon then, the release of its drives neither."""
     bus = hub_name("replaced")
     bench = with_hooks(changed_bench(tmp_path), "output", "put('math:isfinite')")
     with simulated_drive(bus), observer(bus) as watching:
-        process = start_run(bench, bus, tmp_path / "run")
+        process = start_run(bench, bus, tmp_path / "run", by=hil())
         out, said = process.communicate(timeout=60)
         assert watching.time_to_rest(watching.now(), 1.0) >= 0
     assert process.returncode == 3, said
@@ -95,7 +96,7 @@ def test_housekeeping_that_is_no_longer_done_holds_up_no_simulated_time(tmp_path
     """It stays due, and time went no further."""
     silent = "put('servobench.drivers.canopen.life_signs:LifeSigns.keep', lambda *_, **__: {})"
     bench = with_hooks(changed_bench(tmp_path), "output", silent)
-    process = start_run(bench, "simulated", tmp_path / "run")
+    process = start_run(bench, "simulated", tmp_path / "run", by=hil())
     out, said = process.communicate(timeout=60)
     assert process.returncode in (3, 6), said
     assert not json.loads(out)["verdict"]["passed"]
@@ -108,7 +109,7 @@ def test_a_terminal_that_is_stopped_holds_no_run_up(tmp_path: Path) -> None:
     try:
         bench = with_hooks(changed_bench(tmp_path), "output", "overflow()")
         command = ["run", str(bench), "--bus", "simulated", "--record", str(tmp_path / "run"), "--json"]
-        process = in_background(python_command("servobench.hil.cli", *command), stderr=terminal)
+        process = in_background([*hil(), *command], stderr=terminal)
         summary = summary_of(tmp_path / "run")
         assert process.poll() is None, "somebody may want to read it"
         termios.tcflow(terminal, termios.TCOON)
@@ -135,7 +136,7 @@ def test_a_limit_on_files_is_told_as_one(tmp_path: Path) -> None:
     assert (verdict["outcome"], verdict["exit_status"]) == ("not recorded", 5)
 
 
-@pytest.mark.xdist_group("real time")
+@real_time
 def test_a_terminal_that_is_closed_ends_the_run_at_rest(tmp_path: Path) -> None:
     """The command leads the session of its terminal, as in a window of its own: it alone is told."""
     bus = hub_name("closed")
@@ -176,7 +177,7 @@ def test_a_summary_that_is_another_one_at_the_end_is_no_proof(tmp_path: Path) ->
     bench = with_hooks(changed_bench(tmp_path), "output", spoil)
     bench.write_text(bench.read_text(encoding="utf-8").partition("[verdict]")[0], encoding="utf-8")
     asked = ["run", str(bench), "--bus", "simulated", "--record", str(tmp_path / "run"), "--json"]
-    done = run_command(python_command("servobench.hil.cli", *asked))
+    done = run_command([*hil(), *asked])
     verdict = json.loads(done.stdout)["verdict"]
     assert (done.returncode, verdict["exit_status"], verdict["passed"]) == (5, 5, False), done.stderr
     assert "summary.json cannot be read back" in verdict["reason"]
@@ -203,12 +204,10 @@ def test_native_code_that_ends_a_worker_of_pytest_fails_its_test(tmp_path: Path)
     assert "1 failed, 1 passed" in done.stdout
 
 
-@pytest.mark.parametrize(("where", "way"), [("__init__", "os.close(0)"), ("output", "os.close(0)")])
-def test_a_standard_stream_that_is_closed_in_pytest_ends_no_test(
-    tmp_path: Path, where: str, way: str
-) -> None:
+@pytest.mark.parametrize("where", few_of(["__init__", "output"], 1))
+def test_a_standard_stream_that_is_closed_in_pytest_ends_no_test(tmp_path: Path, where: str) -> None:
     """Its number is free when the rings of the recording are made."""
-    bench = with_hooks(changed_bench(tmp_path), where, way)
+    bench = with_hooks(changed_bench(tmp_path), where, "os.close(0)")
     (tmp_path / "test_user.py").write_text(IN_PYTEST.format(bench=str(bench)), encoding="utf-8")
     done = run_command([sys.executable, "-m", "pytest", "-q", "-c", os.devnull, "test_user.py"], tmp_path)
     assert (done.returncode, "2 passed" in done.stdout) == (0, True), done.stdout + done.stderr

@@ -18,9 +18,10 @@ from servobench.hil.verdict.verdict import ExitStatus
 from servobench.virtual_bus.child_python import python_command
 from tests.scenario.processes import run_command
 from tests.unit.hil.recorded_runs import short_run
+from tests.warm.start import hil
 
 SEED: Final = int(os.environ.get("SEED", "36"))
-DRAWN: Final = int(os.environ.get("STREAMS", "6"))
+DRAWN: Final = int(os.environ.get("STREAMS", "3"))
 REDIRECTIONS: Final = {
     "gone": '"$@" | true; exit ${PIPESTATUS[0]}',
     "full": '"$@" >/dev/full',
@@ -83,7 +84,7 @@ def test_a_command_ends_as_documented(folder: Path, words: tuple[str, ...], kind
 def test_what_is_not_read_is_told_by_the_status_and_the_rest_is_done(folder: Path) -> None:
     judged = ("review", "RUN", "--against", "nothing.toml")
     (folder / "nothing.toml").write_text("[verdict]\n")
-    assert run_command(python_command("servobench.hil.cli", *judged), folder).returncode == 0
+    assert run_command([*hil(), *judged], folder).returncode == 0
     assert ended(judged, "gone", folder)[0] == ExitStatus.NOT_RECORDED
     status, said = ended((*judged, "--report", "report.html"), "full", folder)
     assert (status, "hil: error: stdout: No space left on device" in said) == (

@@ -20,6 +20,7 @@ from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.hil.control.own_code import OwnCodeFailed
 from servobench.hil.machine.stopping import StopRequest
 from servobench.virtual_bus.frame import Frame
+from tests.draws import few_of, few_pairs
 from tests.exits.written_witness import SYNC_ID
 from tests.scenario.processes import EXAMPLES
 from tests.swarm.witness import DriveWitness, witnessed
@@ -36,6 +37,7 @@ LEVELS: Final = {
     "ip": [{"kind": "ramp", "at_s": 0.02, "position_rad": 40.0, "over_s": 1.0}],
     "vl": [{"kind": "ramp", "at_s": 0.02, "speed_rpm": 350.0, "over_s": 0.1}],
 }
+MODES: Final = tuple(LEVELS)
 CONTROLLERS: Final = {
     "cst": {"kind": "pid", "proportional_nm_s_rad": 0.05, "integral_nm_rad": 0.5, "derivative_nm_s2_rad": 0.0}
     | {"derivative_filter_s": 0.02, "feedforward_nm_s_rad": 0.00185},
@@ -161,19 +163,18 @@ def rests(
     witness.rests_when_left_alone()
 
 
-@pytest.mark.parametrize("way_out", EXITS)
-@pytest.mark.parametrize("mode", LEVELS)
-def test_a_way_out_ends_with_the_shaft_at_rest(mode: str, way_out: str) -> None:
+@pytest.mark.parametrize(("way_out", "mode"), few_pairs(EXITS, MODES, 2))
+def test_a_way_out_ends_with_the_shaft_at_rest(way_out: str, mode: str) -> None:
     changes, ends_in = EXITS[way_out]
     rests({**bench_of(mode), **changes}, ends_in)
 
 
-@pytest.mark.parametrize("mode", LEVELS)
+@pytest.mark.parametrize("mode", few_of(MODES, 2))
 def test_an_interrupted_run_ends_with_the_shaft_at_rest(mode: str) -> None:
     rests(bench_of(mode), None, stop_at_s=STRUCK_S)
 
 
-@pytest.mark.parametrize("mode", LEVELS)
+@pytest.mark.parametrize("mode", few_of(MODES, 2))
 def test_a_controller_that_raises_ends_with_the_shaft_at_rest(tmp_path: Path, mode: str) -> None:
     code = tmp_path / "failing.py"
     code.write_text(OWN)
@@ -181,6 +182,6 @@ def test_a_controller_that_raises_ends_with_the_shaft_at_rest(tmp_path: Path, mo
     rests({**bench_of(mode), "drive.axis1.controller": own, "reference": {}}, OwnCodeFailed)
 
 
-@pytest.mark.parametrize("mode", LEVELS)
+@pytest.mark.parametrize("mode", few_of(MODES, 2))
 def test_a_drive_that_another_master_resets_ends_with_the_shaft_at_rest(mode: str) -> None:
     rests(bench_of(mode), PeerFault, witness_of=ResetWitness)
