@@ -203,6 +203,14 @@ def forked_children() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
+def unviewed_recordings() -> Iterator[None]:
+    """What is forked has no Rerun: run.rrd takes the logger of a short run half of its time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("UNVIEWED", "1")
+        yield
+
+
+@pytest.fixture(scope="module")
 def undrawn_certificates() -> Iterator[None]:
     """Commissionings leave a PDF without pages: to draw them takes a third of the time of all their steps."""
     from servobench.hil.commissioning import certificate_pdf

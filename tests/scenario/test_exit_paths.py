@@ -24,6 +24,11 @@ MARGIN_S = 1.0
 """For two shared cores; the heartbeat's and the ramp's time are what counts."""
 
 
+@pytest.fixture(scope="module")
+def unviewed_recordings() -> None:
+    """None: run.rrd is looked at."""
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_stop_signal_ends_in_rest_with_the_recording_whole(
     servo_bus: str, servo_process: StartDrive, tmp_path: Path, number: signal.Signals

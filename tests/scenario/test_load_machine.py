@@ -30,6 +30,11 @@ LOAD_NM = 0.6
 TURNING_RAD_S = 90.0
 
 
+@pytest.fixture(scope="module")
+def unviewed_recordings() -> None:
+    """None: run.rrd is read."""
+
+
 def bench(folder: Path, port: str, duration_s: float = 3.0, **machine: object) -> Path:
     """The any-bus bench with its load from the instrument at ``port``."""
     text = (EXAMPLES / "any_bus.toml").read_text().replace('"motors/', f'"{EXAMPLES}/motors/')

@@ -14,6 +14,11 @@ from tests.scenario.processes import BENCH, hub_name, simulated_drive
 from tests.unit.hil.test_observed_objects import EXAMPLES, told
 
 
+@pytest.fixture(scope="module")
+def unviewed_recordings() -> None:
+    """None: run.rrd is read."""
+
+
 @pytest.mark.xdist_group("real time")
 def test_on_the_hub_a_drive_of_another_process_tells_them(tmp_path: Path) -> None:
     bus = hub_name("observed")

@@ -32,6 +32,11 @@ LIKE = {
 OBSERVED = [{"object": "60FE:1", "type": "uint32", "name": "outputs"}, "6079"]
 
 
+@pytest.fixture(scope="module")
+def unviewed_recordings() -> None:
+    """None: run.rrd is read."""
+
+
 class Kept(NamedTuple):
     """A run and its folder."""
 

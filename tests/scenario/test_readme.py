@@ -60,6 +60,11 @@ hil review "a b"   # not passed, status 1
 """
 
 
+@pytest.fixture(scope="module")
+def unviewed_recordings() -> None:
+    """None: documents show what a recording has."""
+
+
 def environment() -> dict[str, str]:
     """The user's environment with the tools of this venv first, but for ``hil``, which is forked."""
     if STRANGER:

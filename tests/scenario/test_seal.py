@@ -37,6 +37,11 @@ READERS: dict[str, Callable[[Path], list[str]]] = {
 
 
 @pytest.fixture(scope="module")
+def unviewed_recordings() -> None:
+    """None: run.rrd is one of the files."""
+
+
+@pytest.fixture(scope="module")
 def forked_children() -> None:
     """Loggers that are struck are real ones."""
 

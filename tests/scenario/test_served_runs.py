@@ -21,6 +21,11 @@ pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")
 CLOCK = MonotonicClock()
 
 
+@pytest.fixture(scope="module")
+def unviewed_recordings() -> None:
+    """None: pages are served."""
+
+
 def start(*arguments: str) -> "subprocess.Popen[str]":
     return in_background([*HIL, *arguments])
 

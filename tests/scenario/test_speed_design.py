@@ -36,6 +36,11 @@ ROW_KEYS = {
 }  # fmt: skip
 
 
+@pytest.fixture(scope="module")
+def unviewed_recordings() -> None:
+    """None: run.rrd is looked at."""
+
+
 def _designed_bench(controller: Path, loss: float) -> dict[str, Any]:
     tables = read_toml(EXAMPLES / "network_designed.toml", "bench file")
     tables["bench"]["duration_s"] = 1.0

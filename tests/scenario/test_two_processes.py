@@ -11,6 +11,11 @@ from tests.scenario.two_process_suite import CYCLES, TwoProcesses
 pytestmark = pytest.mark.xdist_group("real time")
 
 
+@pytest.fixture(scope="module")
+def unviewed_recordings() -> None:
+    """None: run.rrd is looked at."""
+
+
 @pytest.mark.servo_bus("hub")
 class TestOnHub(TwoProcesses):
     """On a hub of its own, so that no other test's frames are heard."""

@@ -27,6 +27,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, NamedTuple, NoReturn, TextIO
 
+from tests.warm.front import LOGGER
+
 PYTHON: Final = "forked-python"
 """The front that stands for the interpreter."""
 ROLES: Final = {
@@ -68,7 +70,7 @@ _REFUSED: Final = {"--view"}
 """Words of a command whose processes need more than is forked."""
 _FREE: Final = {
     "CI", "COLUMNS", "LINES", "OLDPWD", "OPENBLAS_NUM_THREADS", "PATH", "PWD", "PYTEST_CURRENT_TEST",
-    "PYTHONPATH", "SHLVL", "TMPDIR", "XDG_RUNTIME_DIR", "_", "_RJEM_MALLOC_CONF",
+    "PYTHONPATH", "SHLVL", "TMPDIR", "UNVIEWED", "XDG_RUNTIME_DIR", "_", "_RJEM_MALLOC_CONF",
 }  # fmt: skip
 """Variables that are looked at when they are needed, or set by every program of ours, or by an import of
 python-can in a test's process; any other may decide what an import does."""
@@ -228,6 +230,8 @@ def run(asked: Asked, place: Path) -> NoReturn:
     """What Python does with a program, from its first line to the end of the process."""
     sys.executable = str(place / PYTHON)
     sys.argv = [str(place / "hil"), *asked.arguments]
+    if asked.module in LOGGER and asked.environment.get(b"UNVIEWED"):
+        sys.modules["rerun"] = None  # type: ignore[assignment]  # as where it is not installed
     status: Any = 0
     try:
         if asked.module == "servobench.hil.cli":
