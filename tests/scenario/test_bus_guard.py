@@ -72,7 +72,7 @@ def test_a_run_by_itself_sees_nobody(servo_bench: BenchRunner) -> None:
     assert others(run(servo_bench)) == {}
 
 
-@pytest.mark.parametrize("what", FOREIGN)
+@pytest.mark.parametrize("what", few_of([*reversed(FOREIGN)], 3))
 def test_a_frame_of_another_on_the_benchs_identifiers_is_told(servo_bench: BenchRunner, what: str) -> None:
     node, mark = ForeignNode(FOREIGN[what], AT_S, times=3), ForeignNode(MARK, MARK_S)
     seen = run(servo_bench, node, mark)

@@ -19,6 +19,7 @@ from servobench.drivers.wire.link import BusLink
 from servobench.hil.commissioning.report import REPORT_FILE
 from servobench.hil.restoring.journal import read_journal
 from servobench.virtual_bus.drive.servo import SimulatedServo
+from tests.draws import few_of
 from tests.motors import LING
 from tests.scenario.processes import (
     HIL,
@@ -149,7 +150,7 @@ def restore(out: Path) -> subprocess.CompletedProcess[str]:
     return run_command([*hil(), "restore", str(out / "journal.jsonl")])
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", few_of([signal.SIGTERM, signal.SIGINT], 1))
 def test_a_stop_signal_ends_in_rest_with_everything_put_back(tmp_path: Path, number: signal.Signals) -> None:
     bus = hub_name(f"commission-{number.name.lower()}")
     with simulated_drive(bus), witness(bus) as watching:
@@ -189,7 +190,7 @@ def test_any_key_is_an_emergency_stop(tmp_path: Path) -> None:
         os.close(terminal)
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize("number", few_of([signal.SIGKILL, signal.SIGSTOP], 1))
 def test_a_host_that_is_gone_is_put_back_by_its_journal(tmp_path: Path, number: signal.Signals) -> None:
     bus = hub_name(f"commission-{number.name.lower()}")
     with simulated_drive(bus), witness(bus) as watching:
@@ -245,7 +246,7 @@ def test_a_lost_bus_ends_it_and_names_what_puts_things_back(tmp_path: Path) -> N
         assert drive.wait(timeout=20) == 3
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("number", few_of([signal.SIGTERM, signal.SIGKILL], 1))
 def test_a_jog_that_is_ended_leaves_its_drive_at_rest(tmp_path: Path, number: signal.Signals) -> None:
     """By a signal it puts everything back; where its process is killed, its parent has the drive stopped."""
     bus = hub_name(f"jog-{number.name.lower()}")

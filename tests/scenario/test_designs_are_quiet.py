@@ -13,6 +13,7 @@ from servobench.hil.execution.bench import run_bench
 from servobench.hil.rows.run_files import EVENTS_FILE
 from servobench.hil.studies.speed.controller_text import plant_of
 from servobench.hil.verdict.verdict import LimitResult
+from tests.draws import few_of
 from tests.random_motors import FINE_ENCODER, designed, random_bench, run, steady_rms_nm, torque_rms_nm
 
 QUIET_NM = 0.15
@@ -22,7 +23,7 @@ NOISE_ALONE = 1.35
 white at 1 kHz, and the drive's speed filter takes 0.3 ms more. A limit cycle is 10 and more."""
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+@pytest.mark.parametrize("seed", few_of([1, 2, 3, 4], 2))
 def test_a_design_for_the_drives_bandwidth_has_the_noise_of_the_encoder_and_no_more(seed: int) -> None:
     """A heavy shaft takes more torque for the same speed error, and so for the same noise."""
     own = designed(np.random.default_rng(seed))

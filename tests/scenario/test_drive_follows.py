@@ -19,6 +19,7 @@ from servobench.hil.testing.run import Run
 from servobench.hil.verdict.verdict import ExitStatus
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from servobench.virtual_bus.frame import Frame
+from tests.draws import few_pairs
 from tests.scenario.foreign_node import beside_the_bench
 from tests.scenario.processes import EXAMPLES
 
@@ -152,8 +153,10 @@ def test_a_drive_that_comes_back_is_driven_on_without_overspeed(
     assert f"and did not follow for {away.size} cycles" in seen.verdict.reason
 
 
-@pytest.mark.parametrize("file", ["ling2012", "speed_vl", "position_csv", "position_csp"])
-@pytest.mark.parametrize("holds", ["last", "zero"])
+@pytest.mark.parametrize(
+    ("file", "holds"),
+    few_pairs(["ling2012", "speed_vl", "position_csv", "position_csp"], ["last", "zero"], 1),
+)
 def test_set_points_that_a_drive_ignores_without_a_word_end_a_run(
     servo_bench: BenchRunner, holds: str, file: str
 ) -> None:

@@ -10,6 +10,7 @@ import pytest
 from servobench.drivers.cia402.profile import State
 from servobench.drivers.timebase import NS_PER_S
 from servobench.hil.pytest_plugin import StartDrive
+from tests.draws import few_of
 from tests.scenario.processes import broker_of, changed_bench, long_bench, loop_of, observer, start_run
 from tests.warm.start import hil
 
@@ -29,7 +30,7 @@ def unviewed_recordings() -> None:
     """None: run.rrd is looked at."""
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize("number", few_of([signal.SIGTERM, signal.SIGINT, signal.SIGHUP], 1))
 def test_a_stop_signal_ends_in_rest_with_the_recording_whole(
     servo_bus: str, servo_process: StartDrive, tmp_path: Path, number: signal.Signals
 ) -> None:

@@ -15,6 +15,7 @@ from servobench.hil.execution.bench import run_bench
 from servobench.hil.pytest_plugin import StartDrive
 from servobench.hil.testing.bench_runs import BenchRunner
 from servobench.hil.testing.run import Run
+from tests.draws import few_of
 from tests.recorded_frames import candump_text, injected
 from tests.scenario.processes import EXAMPLES
 
@@ -65,10 +66,14 @@ def test_every_example_is_looked_at_here() -> None:
 
 
 @pytest.mark.parametrize("name", PLANS)
-def test_each_example_runs_and_replays_to_the_same_digest(name: str, servo_bench: BenchRunner) -> None:
+def test_each_example_runs_and_the_first_replay_to_the_same_digest(
+    name: str, servo_bench: BenchRunner
+) -> None:
     run = _attempt(name, servo_bench, EXAMPLES / "faults" / f"{name}.toml")
     kinds = {entry["kind"] for entry in entries(run.folder)}
     assert INJECTED[name] <= kinds
+    if name not in few_of(PLANS, 8):
+        return
     again = _attempt(name, servo_bench, run.folder / "faults.arrow")
     assert again.digest == run.digest
     assert entries(again.folder) == entries(run.folder)

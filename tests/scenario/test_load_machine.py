@@ -13,6 +13,7 @@ import pytest
 from servobench.drivers.timebase import MonotonicClock
 from servobench.virtual_bus.instruments.dynamometer import Brake, Instrument, InstrumentAtTerminal, Shaft
 from servobench.virtual_bus.instruments.serial_line import PseudoTerminal
+from tests.draws import few_of
 from tests.scenario.processes import (
     EXAMPLES,
     START_LIMIT_S,
@@ -180,7 +181,7 @@ def test_at_the_end_of_a_run_the_brake_is_open(tmp_path: Path, instrument: Watch
     assert instrument.brake.torque_nm < 0.02
 
 
-@pytest.mark.parametrize("way", ["SIGTERM", "drive killed", "SIGINT"])
+@pytest.mark.parametrize("way", few_of(["drive killed", "SIGTERM", "SIGINT"], 2))
 def test_on_every_way_out_the_brake_is_opened(
     tmp_path: Path, instrument: WatchedInstrument, way: str
 ) -> None:

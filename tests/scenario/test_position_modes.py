@@ -15,6 +15,7 @@ from servobench.drivers.errors import BadInput, LimitExceeded, PeerFault
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.hil.testing.bench_runs import BenchRunner
 from servobench.hil.testing.run import Run
+from tests.draws import few_of
 from tests.recorded_frames import candump_text
 from tests.rehearsals.rehearsal import made_sheet
 from tests.scenario.processes import EXAMPLES
@@ -126,7 +127,7 @@ def test_a_drive_whose_sheet_has_one_of_these_modes_runs_in_it_alone(
         servo_bench(other, sheet)
 
 
-@pytest.mark.parametrize("bench", [CSV, CSP])
+@pytest.mark.parametrize("bench", few_of([CSV, CSP], 1))
 def test_delay_and_losses_cost_little(servo_bench: BenchRunner, bench: Path) -> None:
     changes = {"loop.deadline_us": 3000, "verdict": {"position_error_peak_rad_max": 0.05}}
     if bench == CSV:
@@ -137,7 +138,7 @@ def test_delay_and_losses_cost_little(servo_bench: BenchRunner, bench: Path) -> 
     assert shaft_error(run, 0.95, 1.5) < 0.05
 
 
-@pytest.mark.parametrize("bench", [CSV, CSP])
+@pytest.mark.parametrize("bench", few_of([CSP, CSV], 1))
 def test_a_drive_that_hears_no_set_points_any_more_stops_and_the_run_ends(
     servo_bench: BenchRunner, bench: Path
 ) -> None:
@@ -152,7 +153,7 @@ def test_a_drive_that_hears_no_set_points_any_more_stops_and_the_run_ends(
         servo_bench(bench, faults={"blackout": [lost]})
 
 
-@pytest.mark.parametrize("bench", [CSV, CSP])
+@pytest.mark.parametrize("bench", few_of([CSV, CSP], 1))
 def test_too_few_readings_end_the_run_at_rest(servo_bench: BenchRunner, bench: Path) -> None:
     lost = {"direction": "drive_to_host", "frames": ["pdo"], "from_s": 0.6, "duration_s": 0.3}
     with pytest.raises(LimitExceeded, match="no usable reading"):

@@ -26,8 +26,8 @@ from servobench.hil.verdict.summary import Summary
 from tests.draws import few_of
 from tests.scenario.processes import EXAMPLES, HIL, NO_DISK, RUN_TIMEOUT_S, on_disk_of, quiet_environment
 
-LONG_S = 120
-"""Some ten times as long as it takes to fill the disk of the test."""
+LONG_S = 40
+"""Some three times as long as it takes to fill the disk of the test."""
 LING2012 = EXAMPLES / "ling2012.toml"
 
 

@@ -10,6 +10,7 @@ from servobench.drivers.cia402.objects402 import Object, Unit, unit_word
 from servobench.hil.cli import app
 from servobench.hil.configuration.drive_file import load_drive_file
 from servobench.virtual_bus.drive.servo import SimulatedServo
+from tests.draws import few_of
 from tests.motors import LING
 from tests.rehearsals.__main__ import complaints
 from tests.rehearsals.made_sheet import MadeSheet
@@ -44,7 +45,7 @@ READY = [
 ]
 
 
-@pytest.mark.parametrize("case", REFUSED)
+@pytest.mark.parametrize("case", few_of(REFUSED, 6))
 def test_a_drive_that_cannot_be_served_is_refused_before_it_moves(case: str, tmp_path: Path) -> None:
     names = tuple(case.split("+"))
     sheet = made_sheet(names, tmp_path)
@@ -53,7 +54,7 @@ def test_a_drive_that_cannot_be_served_is_refused_before_it_moves(case: str, tmp
     assert contradictions(sheet, result) == []
 
 
-@pytest.mark.parametrize("case", READY)
+@pytest.mark.parametrize("case", few_of(READY, 6))
 def test_an_odd_drive_is_set_up_and_enabled(case: str, tmp_path: Path) -> None:
     names = tuple(case.split("+"))
     assert all(not TRAITS[name].ends or TRAITS[name].mendable for name in names)
@@ -87,7 +88,7 @@ def test_the_greatest_quick_stop_that_a_drive_takes_is_in_what_it_leaves(tmp_pat
     assert left.bytes == "e8030000"
 
 
-@pytest.mark.parametrize("names", [("6085h is steep",), ("604Ah is steep",)])
+@pytest.mark.parametrize("names", few_of([("6085h is steep",), ("604Ah is steep",)], 1))
 def test_a_quick_stop_steeper_than_the_motor_is_no_wrong_unit(names: tuple[str, ...], tmp_path: Path) -> None:
     """A stop by it lasts as long as torque and controller take: its unit shows by a gentler one."""
     sheet = made_sheet(names, tmp_path)
@@ -116,7 +117,7 @@ def test_a_ramp_is_made_steeper_where_the_shaft_does_not_move_by_its_unit(tmp_pa
     assert result.moved
 
 
-@pytest.mark.parametrize("period_us", ["2000", "4000"])
+@pytest.mark.parametrize("period_us", few_of(["4000", "2000"], 1))
 def test_the_own_loops_of_a_drive_are_no_load_that_drives_the_shaft(period_us: str, tmp_path: Path) -> None:
     """They turn it by pulses of torque that a reading of each cycle misses."""
     sheet = made_sheet(["6502h with interpolated position only"], tmp_path)
@@ -131,7 +132,7 @@ MODES = {
 }
 
 
-@pytest.mark.parametrize("case", MODES)
+@pytest.mark.parametrize("case", few_of([*MODES], 2))
 def test_the_inertia_is_found_in_a_mode_of_speeds_or_positions(case: str, tmp_path: Path) -> None:
     """Against that of the simulated motor."""
     result = rehearsed(made_sheet([case], tmp_path), tmp_path, last_step="mechanics")
@@ -177,9 +178,11 @@ def test_a_whole_commissioning_by_a_data_sheet(tmp_path: Path) -> None:
     assert json.loads(again.stdout)["digest"] == json.loads(first.stdout)["digest"]
 
 
-@pytest.mark.parametrize("case", ["6502h is 43h, 6060h 7", "60C5h is tiny", "60C5h is 300 at most"])
+@pytest.mark.parametrize(
+    "case", few_of(["60C5h is tiny", "6502h is 43h, 6060h 7", "60C5h is 300 at most"], 2)
+)
 def test_a_drive_without_torque_mode_leaves_a_bench_that_runs(case: str, tmp_path: Path) -> None:
-    """hil eds gives vl to commission the first and ip to run it, as of an iPOS; the second is run in csv,
+    """hil eds gives vl to commission the second and ip to run it, as of an iPOS; the first is run in csv,
     with a bound of acceleration that a run raises as its commissioning did; the third in csp, within its."""
     sheet = made_sheet([case], tmp_path)
     result = rehearsed(sheet, tmp_path)

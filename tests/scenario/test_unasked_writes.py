@@ -36,6 +36,7 @@ from servobench.hil.write_lists import FAULT, RESTORE, STOP, writes_of
 from servobench.virtual_bus.device.communication_objects import export_eds
 from servobench.virtual_bus.drive.load_object import LOAD_MACHINE, SIMULATED_DRIVE
 from servobench.virtual_bus.drive.servo import SimulatedServo
+from tests.draws import few_pairs
 from tests.motors import LING
 from tests.rehearsals.made_sheet import MadeSheet
 from tests.rehearsals.rehearsal import rehearsed
@@ -106,8 +107,7 @@ def test_a_run_with_a_load_writes_its_torque_and_takes_it_off() -> None:
     assert drive.dictionary.upload(*LOAD) == bytes(4)
 
 
-@pytest.mark.parametrize("access", ["rw", "ro"])
-@pytest.mark.parametrize("mode", BENCHES)
+@pytest.mark.parametrize(("mode", "access"), few_pairs(BENCHES, ["rw", "ro"], 1))
 def test_another_makes_2100h_is_neither_written_nor_read(mode: str, access: str, tmp_path: Path) -> None:
     """rw: as in maxon's EPOS2, where it is a brake's reaction time; ro: as the EPOS4's serial number."""
     sheet = foreign_sheet(tmp_path, AccessType=access)
