@@ -235,15 +235,15 @@ class CellMap(NamedTuple):
         return np.where(black[..., None], np.uint8(0), np.uint8(255)) * np.ones(3, np.uint8)
 
     def label(self, row: int, column: int) -> str:
-        """Return the value, its interval, and the run to inspect."""
+        """Return the value, its interval, and the run to inspect, a line each."""
         value, low, high = (float(one[row, column]) for one in (self.values, self.low, self.high))
         if not np.isfinite(value):
             return "none"
         text = f"{value:.2f}" if self.is_rate else f"{value:.3g} %"
         if np.isfinite(low):
-            text += f" ({low:.2f} to {high:.2f})"
+            text += f"\n({low:.2f} to {high:.2f})"
         run = int(self.runs[row, column])
-        return f"{text}, run {run}" if run >= 0 else text
+        return f"{text}\nrun {run}" if run >= 0 else text
 
 
 def cell_maps(done: Campaign, rows: GridAxis, across: GridAxis) -> tuple[CellMap, CellMap]:

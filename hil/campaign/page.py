@@ -23,6 +23,10 @@ _MEMBERS: Final = "/members"
 _INK: Final = (235, 235, 235)
 _MARGIN: Final = 0.5
 """Margin around the map, in cells."""
+_LINE: Final = 0.27
+"""Distance of the lines in a cell, in cells: three of them fill it."""
+_LABELLED_MAX: Final = 7
+"""Cells down or across: of more, labels would cover one another; a point that is pointed at tells its own."""
 
 
 class _Map(NamedTuple):
@@ -54,13 +58,21 @@ def _send_maps(stream: rr.RecordingStream, done: Campaign) -> Iterator[_Map]:
 
 
 def _labels(cells: CellMap) -> rr.Points2D:
-    places = list(np.ndindex(cells.values.shape))
+    """Label each cell by a point for each line, as the viewer cuts a label off behind its first line."""
+    lines = [
+        (line, (column + 0.5, row + 0.5 + _LINE * (2 * number - last) / 2), cells.inks[row, column])
+        for row, column in np.ndindex(cells.values.shape)
+        for texts in [cells.label(row, column).split("\n")]
+        for last in [len(texts) - 1]
+        for number, line in enumerate(texts)
+    ]
+    labels, places, inks = zip(*lines, strict=True)
     return rr.Points2D(
-        [(column + 0.5, row + 0.5) for row, column in places],
-        labels=[cells.label(*place) for place in places],
-        colors=cells.inks.reshape(-1, 3),
-        radii=0.02,
-        show_labels=True,
+        places,
+        labels=labels,
+        colors=inks,
+        radii=0.01,
+        show_labels=max(cells.values.shape) <= _LABELLED_MAX,
     )
 
 

@@ -161,7 +161,7 @@ def _heat_map(axes: Axes, cells: CellMap, rows: GridAxis, across: GridAxis) -> N
     axes.figure.colorbar(image, ax=axes)
     if cells.values.size <= CELLS_NAMED_MAX:
         for row, column in np.argwhere(np.isfinite(cells.values)):
-            lines = cells.label(row, column).replace(" (", "\n(").replace(", ", "\n")
+            lines = cells.label(row, column)
             ink = cells.inks[row, column] / 255.0
             run = cells.runs[row, column]
             url = f"#run{run}" if run >= 0 else None
