@@ -4,6 +4,8 @@ import os
 from collections.abc import Iterable, Sequence
 from typing import Final, TypeVar
 
+from hypothesis import settings
+
 Case = TypeVar("Case")
 Row = TypeVar("Row")
 Column = TypeVar("Column")
@@ -22,3 +24,8 @@ def few_pairs(rows: Iterable[Row], columns: Sequence[Column], each: int) -> list
         for number, row in enumerate(rows)
         for step in range(len(columns) if ALL else each)
     ]
+
+
+def examples_of(count: int) -> settings:
+    """Return settings for ``count`` examples, always the same; without DRAWS for a quarter of them."""
+    return settings(derandomize=True, deadline=None, max_examples=count if ALL else max(10, count // 4))

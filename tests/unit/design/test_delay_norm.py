@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.design.delay.delay_loop import (
@@ -25,7 +25,7 @@ from servobench.design.delay.delay_norm import (
     largest_stable_delay_s,
     norm_between,
 )
-from tests.draws import few_of
+from tests.draws import examples_of, few_of
 from tests.motors import AZAIZ, LING
 from tests.unit.design.delay_oracles import generator_abscissa, magnitudes, random_loop
 
@@ -38,7 +38,7 @@ def first_order(a: float, k: float, delay_s: float) -> DelayLoop:
 
 
 @given(a=st.floats(0.0, 50.0), over=st.floats(1.02, 30.0), k0=st.floats(0.1, 50.0))
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 def test_delay_margin_of_first_order(a: float, over: float, k0: float) -> None:
     k = a * over + k0
     w = math.sqrt(k * k - a * a)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import StateSpace as ScipySystem
 from scipy.signal import step
@@ -13,6 +13,7 @@ from servobench.design.delay.delay_loop import Array, DelayLoop, peak_floor_rad_
 from servobench.design.delay.delay_norm import largest_stable_delay_s
 from servobench.design.delay.delay_response import respond, step_peak
 from servobench.design.papers.ling2012 import DELAY_S, MODEL, MOTOR, K, load_pulse
+from tests.draws import examples_of
 
 STEPS = 800
 """Of the Runge-Kutta oracle to a delay."""
@@ -75,7 +76,7 @@ def test_peak_without_delay_is_scipy_s() -> None:
 
 
 @given(st.floats(0.002, 0.2), st.floats(0.05, 0.9), st.floats(-0.9, 0.0))
-@settings(derandomize=True, deadline=None, max_examples=25)
+@examples_of(25)
 def test_no_loop_is_below_the_floor(delay_s: float, share: float, current: float) -> None:
     gain = np.array([current, -share / delay_s * MOTOR.inertia_kg_m2 / MOTOR.torque_constant_nm_a])
     peak = step_peak(MODEL.loop(gain, delay_s))

@@ -7,7 +7,7 @@ from functools import reduce
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.signal import cont2discrete
@@ -31,7 +31,7 @@ from servobench.design.sampled.sequence_certificate import certify_gain
 from servobench.design.sampled.sequence_graph import between_deliveries, edges_of
 from servobench.design.sampled.step_maps import corners_of, step_maps
 from servobench.design.sampled.value_map import ValueMap
-from tests.draws import few_of
+from tests.draws import examples_of, few_of
 from tests.motors import LING
 from tests.unit.design.random_loops import random_bounds
 
@@ -74,7 +74,7 @@ PATTERNS = st.lists(st.tuples(st.integers(1, 4), st.floats(0.0, 1.0)), min_size=
 
 @given(strategy=st.sampled_from(list(Strategy)), pattern=PATTERNS, agreed=st.floats(0.041, 0.075),
        delay=st.sampled_from([0.0, 0.004, 0.01, 0.013, 0.027]))  # fmt: skip
-@settings(derandomize=True, deadline=None, max_examples=80)
+@examples_of(80)
 def test_steps_are_the_rule_of_each_strategy(
     strategy: Strategy, pattern: list[tuple[int, float]], agreed: float, delay: float
 ) -> None:
@@ -117,7 +117,7 @@ def test_steps_are_the_rule_of_each_strategy(
 
 
 @given(pattern=PATTERNS, most=st.sampled_from([0.004, 0.01, 0.013, 0.027]))
-@settings(derandomize=True, deadline=None, max_examples=150)
+@examples_of(150)
 def test_the_graph_holds_whatever_the_network_does(pattern: list[tuple[int, float]], most: float) -> None:
     """Any deliveries within the bounds are a walk: each period lies in the windows of a family."""
     net = SampledNetwork(Strategy.ARRIVAL, H, 3, most)

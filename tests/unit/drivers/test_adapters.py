@@ -6,7 +6,7 @@ from pathlib import Path
 
 import can
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.errors import BadInput, BusDown
@@ -20,6 +20,7 @@ from servobench.drivers.wire.adapters import (
     socketcan_links,
 )
 from servobench.drivers.wire.link import StampSource
+from tests.draws import examples_of
 
 
 @pytest.mark.parametrize(
@@ -61,7 +62,7 @@ def test_bad_specifications_name_source_key_and_remedy(text: str, telling: str) 
     assert telling in str(caught.value)
 
 
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 @given(st.text(max_size=30))
 def test_no_text_is_anything_but_a_spec_or_bad_input(text: str) -> None:
     with suppress(BadInput):

@@ -3,11 +3,12 @@
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.errors import BadInput
 from servobench.drivers.sheets.dictionary import LoadedDictionary, load_dictionary, parse_dictionary
+from tests.draws import examples_of
 from tests.unit.drivers.sound_sheet import SOUND, line_of, parse, repairs, value
 
 
@@ -289,7 +290,7 @@ def test_a_missing_file_is_bad_input(tmp_path: Path) -> None:
         load_dictionary(tmp_path)
 
 
-@settings(derandomize=True, deadline=None, max_examples=300)
+@examples_of(300)
 @given(st.integers(0, len(SOUND) - 1), st.integers(0, 60), st.binary(max_size=6))
 def test_no_damage_is_anything_but_repairs_or_bad_input(start: int, length: int, patch: bytes) -> None:
     data = SOUND.encode()
@@ -301,7 +302,7 @@ def test_no_damage_is_anything_but_repairs_or_bad_input(start: int, length: int,
     assert isinstance(loaded, LoadedDictionary)
 
 
-@settings(derandomize=True, deadline=None, max_examples=200)
+@examples_of(200)
 @given(st.text(alphabet="$NODEIDnodeid+-*|()0x18Fh ;", max_size=24))
 def test_no_formula_is_anything_but_a_value_or_a_repair(text: str) -> None:
     loaded = parse(SOUND.replace("$NODEID+0x180", text))

@@ -1,14 +1,15 @@
 """Spellings of numbers and formulas."""
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.sheets.eds.numbers import formula, integer, is_formula
+from tests.draws import examples_of
 
 
 @given(st.integers(-(2**63), 2**64))
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 def test_what_the_standard_knows_is_read_and_is_not_odd(number: int) -> None:
     assert integer(str(number)) == (number, "")
     assert integer(f"{number:#x}") == (number, "")
@@ -43,7 +44,7 @@ def test_what_is_no_number_is_none(text: str) -> None:
 
 
 @given(st.integers(0, 0xFFFF_FFFF), st.integers(1, 127))
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 def test_a_formula_adds_the_node_id(base: int, node_id: int) -> None:
     for text in (f"$NODEID+0x{base:X}", f"0x{base:X}+$NODEID"):
         found = formula(text)

@@ -7,8 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.core.native import nearest
+from tests.draws import examples_of
 
 
+@examples_of(100)
 @given(st.floats(allow_nan=False, allow_infinity=False) | st.integers(-1000, 1000).map(lambda k: k + 0.5))
 def test_to_the_nearest_of_two_the_even_one(value: float) -> None:
     assert nearest(value) == round(value)

@@ -6,10 +6,12 @@ from hypothesis import strategies as st
 
 from servobench.drivers.canopen.sdo import ANSWER_LATE_MAX, Owed, OwedAnswers
 from servobench.drivers.timebase import Instant
+from tests.draws import examples_of
 
 DUE_MAX = 8
 
 
+@examples_of(100)
 @given(st.lists(st.booleans()))
 def test_without_loss_every_surplus_is_seen(foreign: list[bool]) -> None:
     owed = Owed(DUE_MAX)
@@ -21,6 +23,7 @@ def test_without_loss_every_surplus_is_seen(foreign: list[bool]) -> None:
     assert owed.surplus == sum(foreign)
 
 
+@examples_of(100)
 @given(st.lists(st.integers(0, DUE_MAX - 1)))
 def test_what_is_late_by_less_than_the_most_is_never_blamed(delays: list[int]) -> None:
     owed = Owed(DUE_MAX)

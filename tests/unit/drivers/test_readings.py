@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.canopen.network import CanopenNetwork
@@ -19,6 +19,7 @@ from servobench.drivers.cia402.scaling import Scaling
 from servobench.drivers.core.native import LastStatusword
 from servobench.drivers.exchange import DemandChange, Readback, Reading
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Duration, Instant
+from tests.draws import examples_of
 from tests.unit.drivers.fake_bus import FakeBus, make_network
 
 SCALING = Scaling(0.001, 1.0, 1.0, 1000.0, 1.0)
@@ -278,7 +279,7 @@ def test_in_a_coherent_plan_the_position_is_of_the_readings_own_sync(lost: bool)
     rig.bus.shutdown()
 
 
-@settings(derandomize=True, deadline=None, max_examples=50)
+@examples_of(50)
 @given(st.integers(-(2**31), 2**31 - 1), st.lists(st.integers(-(2**30), 2**30), min_size=1, max_size=20))
 def test_position_runs_on_where_its_counter_wraps(start: int, steps: list[int]) -> None:
     rig = rig_of(coherent=True, stamp=False)

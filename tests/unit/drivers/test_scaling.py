@@ -3,12 +3,13 @@
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.cia402.objects402 import Unit, unit_word
 from servobench.drivers.cia402.scaling import ScaleOverride, Scaling, scaling_from
 from servobench.drivers.errors import PeerFault
+from tests.draws import examples_of
 
 RATED = {(0x6076, 0): 2000}
 ENCODER = {(0x608F, 1): 65536, (0x608F, 2): 1}
@@ -210,7 +211,7 @@ def test_a_senseless_override_is_refused(factor: float) -> None:
         scaling_from({**RATED, **ENCODER}, ScaleOverride(position_rad=factor))
 
 
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 @given(st.floats(-60.0, 60.0), st.floats(0.1, 50.0))
 def test_torque_is_rounded_to_the_nearest_unit(torque_nm: float, rated_nm: float) -> None:
     scaling = Scaling(1.0, 1.0, 1.0, rated_nm, rated_nm / 1000)

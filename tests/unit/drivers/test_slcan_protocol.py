@@ -1,7 +1,7 @@
 """Lines of the Lawicel protocol: frames, answers, and what is none of them."""
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.wire.frame_port import WireFrame
@@ -16,6 +16,7 @@ from servobench.drivers.wire.slcan_protocol import (
     is_error_report,
     status_text,
 )
+from tests.draws import examples_of
 
 
 @pytest.mark.parametrize(
@@ -77,7 +78,7 @@ FRAMES = st.one_of(
 )
 
 
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 @given(FRAMES, st.one_of(st.none(), st.integers(0, 59_999)))
 def test_a_frame_survives_its_line(frame: WireFrame, stamp_ms: int | None) -> None:
     line = encode_frame(frame, stamp_ms)
@@ -85,7 +86,7 @@ def test_a_frame_survives_its_line(frame: WireFrame, stamp_ms: int | None) -> No
     assert decode_frame(line[:-1]) == frame
 
 
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 @given(st.binary(max_size=200))
 def test_no_bytes_raise(data: bytes) -> None:
     for line in LineSplitter().feed(data + b"\r"):
@@ -95,7 +96,7 @@ def test_no_bytes_raise(data: bytes) -> None:
         is_error_report(line.text)
 
 
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 @given(st.binary(max_size=100), st.integers(1, 7))
 def test_lines_do_not_depend_on_the_pieces_in_which_they_come(data: bytes, size: int) -> None:
     pieces = LineSplitter()

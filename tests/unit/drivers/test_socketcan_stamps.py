@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from struct import pack
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Instant, MonotonicClock, wall_between
@@ -23,8 +23,9 @@ from servobench.drivers.wire.socketcan_stamps import (
     WallStamps,
     parse_ancillary,
 )
+from tests.draws import examples_of
 
-EXAMPLES = settings(derandomize=True, deadline=None, max_examples=200)
+EXAMPLES = examples_of(200)
 EPOCH = 1_700_000_000 * NS_PER_S
 """Wall clock minus monotonic clock at the start."""
 TURN_NS = 10 * NS_PER_MS

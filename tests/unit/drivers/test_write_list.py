@@ -31,6 +31,7 @@ from servobench.hil.restoring.journal import (
 )
 from servobench.hil.restoring.journal import ObjectWrite as Change
 from servobench.hil.write_lists import COMMANDS, RUN, writes_of
+from tests.draws import examples_of
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo
 
 ROOT = Path(__file__).parents[3]
@@ -132,6 +133,7 @@ def test_a_network_without_a_list_reads_and_writes_nothing() -> None:
     assert bus.sent == []
 
 
+@examples_of(100)
 @given(index=st.integers(0x1000, 0xFFFF), sub=st.integers(0, 255), first=st.integers(0, 255))
 def test_a_frame_leaves_if_it_begins_no_write_or_a_listed_one(index: int, sub: int, first: int) -> None:
     bus, _, network = rig_with(SET_UP)

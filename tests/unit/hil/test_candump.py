@@ -5,12 +5,13 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.wire.frame_port import EXTENDED_FLAG, REMOTE_FLAG
 from servobench.hil.reviewing.frames_export import candump_lines
 from servobench.hil.rows.side_rows import FRAME, FRAME_DTYPE
+from tests.draws import examples_of
 
 Row = tuple[int, int, int, int, bytes]
 
@@ -47,7 +48,7 @@ def test_nothing_gives_nothing() -> None:
     assert candump_lines(packed([]), ["can0"]) == b""
 
 
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 @given(rows=st.lists(frame_rows(), min_size=1, max_size=20))
 def test_python_can_reads_back_what_was_written(
     rows: list[Row], tmp_path_factory: pytest.TempPathFactory

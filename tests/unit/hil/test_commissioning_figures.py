@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -22,6 +22,7 @@ from servobench.hil.commissioning.identify import (
 )
 from servobench.hil.commissioning.plots import torque_by_angle
 from servobench.hil.reviewing.network_meter import runs_of
+from tests.draws import examples_of, few_of
 
 Array = NDArray[Any]
 J, B, T_C, T_0 = 8e-4, 2e-3, 0.05, 0.01
@@ -137,7 +138,7 @@ def ripple(seed: int) -> list[tuple[Array, Array, Array]]:
 @pytest.mark.long
 def test_the_stated_uncertainty_holds_with_correlated_residuals() -> None:
     errors, stated = [], []
-    for seed in range(40):
+    for seed in few_of(range(40), 16):
         found = identify_mechanics(ripple(seed), 0.1, held_s=0.0)
         errors.append(
             [found.inertia_kg_m2 - J, found.viscous_friction_nm_s - B, found.coulomb_friction_nm - T_C]
@@ -184,7 +185,7 @@ def test_losses_above_the_bound_end_a_step() -> None:
         refuse_losses(11, 100)
 
 
-@settings(derandomize=True, deadline=None, max_examples=15)
+@examples_of(15)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_lost_samples_and_encoder_steps_hardly_matter(seed: int) -> None:
     random = np.random.Generator(np.random.PCG64(seed))

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.errors import BadInput
@@ -17,6 +17,7 @@ from servobench.hil.restoring.journal import (
     append_restored,
     read_journal,
 )
+from tests.draws import examples_of
 
 HEAD = JournalHead("hub:bench", 7, DriveMark(1, 2, 3), 127, 0)
 LIMIT = ObjectKey(0x6072, 0)
@@ -47,7 +48,7 @@ def test_what_is_noted_is_on_the_disk_at_once(tmp_path: Path) -> None:
     journal.close()
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
+@examples_of(40)
 @given(noted=changes())
 def test_reading_gives_back_what_was_noted(
     tmp_path_factory: pytest.TempPathFactory, noted: list[ObjectWrite]
@@ -60,7 +61,7 @@ def test_reading_gives_back_what_was_noted(
     assert not contents.restored
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
+@examples_of(40)
 @given(noted=changes(), torn=st.integers(0, 10_000))
 def test_a_torn_end_loses_only_what_was_never_made(
     tmp_path_factory: pytest.TempPathFactory, noted: list[ObjectWrite], torn: int

@@ -112,7 +112,7 @@ MENDED = ((deceleration(0),), (deceleration(1),))
             (MENDED[1], 2),
             ((fixed_option,), 2),
         ],
-        5,
+        3,
     ),
 )
 def test_a_drive_that_can_be_made_to_stop_does(

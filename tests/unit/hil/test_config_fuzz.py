@@ -6,12 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.errors import BadInput, printable
 from servobench.hil.configuration.bench_file import bench_from
 from servobench.hil.configuration.config_files import BadInputs, bad_inputs_of, toml_text
+from tests.draws import examples_of
 from tests.unit.hil.test_toml_text import VALUES
 
 pytestmark = pytest.mark.long
@@ -45,7 +46,7 @@ def put(raw: Any, path: Path_, value: Any) -> None:
     node[path[-1]] = value
 
 
-@settings(derandomize=True, deadline=None, max_examples=400)
+@examples_of(400)
 @given(st.sampled_from(PATHS), VALUES)
 def test_any_value_anywhere(path: Path_, value: Any) -> None:
     raw = bench_tables()
@@ -53,7 +54,7 @@ def test_any_value_anywhere(path: Path_, value: Any) -> None:
     check(raw)
 
 
-@settings(derandomize=True, deadline=None, max_examples=200)
+@examples_of(200)
 @given(
     st.sampled_from([path for path in PATHS if isinstance(path[-1], str)]), st.text(min_size=1, max_size=9)
 )
@@ -63,7 +64,7 @@ def test_any_key_anywhere(path: Path_, key: str) -> None:
     check(raw)
 
 
-@settings(derandomize=True, deadline=None, max_examples=100)
+@examples_of(100)
 @given(
     st.lists(st.sampled_from([path for path in PATHS if isinstance(path[-1], str)]), min_size=1, max_size=4)
 )

@@ -1,12 +1,13 @@
 """Fates of SYNC sequences."""
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 from servobench.hil.loop.delay import UNHEARD_MAX, DelayMeter
 from servobench.hil.loop.samples import Dropout, DropoutCause, Sample
+from tests.draws import examples_of
 from tests.unit.hil.loop_fakes import reading_at
 
 DEADLINE = Duration(2 * NS_PER_MS)
@@ -131,7 +132,7 @@ def test_the_typical_delay_is_the_median_not_the_mean() -> None:
     assert meter.typical_delay == pytest.approx(500_000, rel=0.1)
 
 
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 @given(st.lists(st.one_of(st.none(), st.integers(0, 8000)), min_size=1, max_size=60))
 def test_every_sequence_has_exactly_one_fate_in_order(delays_us: list[int | None]) -> None:
     meter = DelayMeter(DEADLINE, 10)

@@ -3,7 +3,7 @@
 from itertools import pairwise
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -11,6 +11,7 @@ from servobench.drivers.timebase import NS_PER_MS, NS_PER_S
 from servobench.drivers.wire.frame_port import ERROR_FLAG, EXTENDED_FLAG
 from servobench.hil.recording.frame_files import JITTER_NS, SILENCE_NS, FrameOrder
 from servobench.hil.rows.side_rows import FRAME, FRAME_DTYPE
+from tests.draws import examples_of
 
 SENT, RECEIVED, SENT_ON_SECOND, RECEIVED_ON_SECOND = 1, 0, 3, 2
 
@@ -84,7 +85,7 @@ def test_what_comes_too_late_is_written_and_counted() -> None:
     assert order.late == 1
 
 
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 @given(
     gaps=st.lists(st.tuples(st.integers(0, 40), st.integers(0, 3), st.integers(0, 900)), max_size=60),
     cuts=st.lists(st.integers(0, 59), max_size=20),

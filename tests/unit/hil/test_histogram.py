@@ -4,15 +4,16 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.hil.reviewing.histogram import TimeHistogram, _bucket_of, _bucket_range
+from tests.draws import examples_of
 
 times = st.lists(st.integers(0, 2**50 - 1) | st.integers(0, 5_000), min_size=1, max_size=60)
 
 
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 @given(times, st.floats(0.001, 1.0))
 def test_quantiles_are_within_a_thousandth(values: list[int], share: float) -> None:
     histogram = TimeHistogram()
@@ -24,7 +25,7 @@ def test_quantiles_are_within_a_thousandth(values: list[int], share: float) -> N
     assert histogram.largest_ns == max(values)
 
 
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 @given(st.integers(0, 2**50 - 1))
 def test_every_time_lies_in_its_bucket(value: int) -> None:
     place = int(_bucket_of(np.array([value]))[0])
@@ -33,7 +34,7 @@ def test_every_time_lies_in_its_bucket(value: int) -> None:
     assert width <= max(1, value / 1000)
 
 
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 @given(times, st.integers(1, 10))
 def test_division_into_chunks_does_not_matter(values: list[int], size: int) -> None:
     whole, parts = TimeHistogram(), TimeHistogram()

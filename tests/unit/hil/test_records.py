@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.exchange import Command, PositionCommand, Reading, SpeedCommand
@@ -15,6 +15,7 @@ from servobench.drivers.timebase import Duration, Instant
 from servobench.hil.loop.cycle_record import NAMES, NOTHING, ROW, CycleRecord, row_of
 from servobench.hil.loop.samples import CommandFate, Dropout, DropoutCause, Sample, Sending, StateEstimate
 from servobench.hil.rows.records import ROW_DTYPE
+from tests.draws import examples_of
 from tests.unit.hil.row_tools import cycle_record, record_of
 from tests.unit.hil.synthetic_run import synthetic_records
 
@@ -66,7 +67,7 @@ records = st.builds(
 )
 
 
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 @given(records)
 def test_a_record_survives_packing(record: CycleRecord) -> None:
     (row,) = np.frombuffer(row_of(record), ROW_DTYPE)

@@ -9,10 +9,11 @@ from multiprocessing.process import BaseProcess
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.hil.recording.ring import RingReader, RingWriter
+from tests.draws import examples_of
 
 ROW = struct.Struct("<qQ8s")
 DTYPE = np.dtype([("number", "<i8"), ("copy", "<u8"), ("text", "S8")])
@@ -56,7 +57,7 @@ def test_drained_rows_are_a_copy(ring: tuple[RingWriter, RingReader]) -> None:
     assert rows["number"].tolist() == [1]
 
 
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 @given(st.lists(st.integers(0, 12), max_size=40))
 def test_any_pattern_of_pushes_and_drains_keeps_order(bursts: list[int]) -> None:
     writer = RingWriter(ROW, 8)

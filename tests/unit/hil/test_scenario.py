@@ -5,7 +5,7 @@ from array import array
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.hil.loop.scenario import (
@@ -20,6 +20,7 @@ from servobench.hil.loop.scenario import (
     Table,
     sine_of_turns,
 )
+from tests.draws import examples_of
 
 
 def test_zero_before_the_first_segment_and_for_an_empty_profile() -> None:
@@ -46,7 +47,7 @@ def test_load_steps_hold_until_the_next() -> None:
     assert [profile.value(t) for t in (0.0, 1.0, 1.49, 1.5, 9.0)] == [0.0, 0.6, 0.6, 0.0, 0.0]
 
 
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 @given(st.floats(-1000.0, 1000.0))
 def test_the_portable_sine_agrees_with_the_library(turns: float) -> None:
     assert sine_of_turns(turns) == pytest.approx(math.sin(2.0 * math.pi * math.fmod(turns, 1.0)), abs=2e-12)
@@ -122,7 +123,7 @@ def test_the_first_segment_begins_at_zero_and_segments_at_one_instant_follow_eac
     assert [twice.value(at_s) for at_s in (0.5, 1.0, 2.0, 3.0)] == pytest.approx([0.0, 4.0, 7.0, 10.0])
 
 
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 @given(st.floats(0.0, 1.0), st.floats(0.01, 10.0), st.floats(-100.0, 100.0))
 def test_an_s_curve_is_the_polynomial_that_begins_and_ends_at_rest_without_acceleration(
     x: float, over_s: float, level: float

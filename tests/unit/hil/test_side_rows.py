@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.timebase import Instant
@@ -23,6 +23,7 @@ from servobench.hil.rows.side_rows import (
     events_of,
     frame_row,
 )
+from tests.draws import examples_of
 
 instants = st.integers(-(2**62), 2**62).map(Instant)
 texts = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x1f"), max_size=60)
@@ -41,7 +42,7 @@ def through_a_row(event: RunEvent) -> RunEvent:
     return found
 
 
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 @given(events)
 def test_an_event_survives_its_row(event: RunEvent) -> None:
     found = through_a_row(event)
@@ -82,7 +83,7 @@ def test_a_long_text_is_cut_at_a_whole_character() -> None:
     assert found.text == "a" + "ü" * ((TEXT_BYTES - 1) // 2)
 
 
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 @given(instants, st.integers(0, 2**32 - 1), st.integers(0, 255), st.binary(max_size=8))
 def test_a_frame_row_is_as_the_struct_packs_it(at: Instant, can_id: int, sent: int, data: bytes) -> None:
     assert frame_row(at, can_id, sent, data) == FRAME.pack(at, can_id, len(data), sent, data)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.timebase import NS_PER_MS, Duration
@@ -12,6 +12,7 @@ from servobench.hil.reviewing.tracking_error import SpeedErrorMeter, worst
 from servobench.hil.rows.recording_plan import AxisPlan
 from servobench.hil.rows.records import Rows
 from servobench.hil.verdict.figures import SpeedError
+from tests.draws import examples_of
 from tests.unit.hil.row_tools import plain_rows, rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 
@@ -117,7 +118,7 @@ def by_the_definition(rows: Rows) -> SpeedError:
 
 
 @pytest.mark.long
-@settings(derandomize=True, deadline=None, max_examples=200)
+@examples_of(200)
 @given(st.lists(st.tuples(cells, st.integers(1, 15)), min_size=1, max_size=12))
 def test_any_run_agrees_with_the_definition(parts: list[tuple[tuple[float, float, float, int], int]]) -> None:
     columns = list(zip(*[cell for cell, times in parts for _ in range(times)], strict=True))
@@ -130,7 +131,7 @@ def test_any_run_agrees_with_the_definition(parts: list[tuple[tuple[float, float
 
 
 @pytest.mark.long
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 @given(st.lists(st.integers(0, 1500), max_size=8))
 def test_division_into_chunks_changes_no_bit(cuts: list[int]) -> None:
     rows = rows_of(synthetic_records(1500))

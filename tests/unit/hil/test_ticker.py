@@ -1,11 +1,12 @@
 """The missed-tick policy."""
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.timebase import Duration, Instant
 from servobench.hil.loop.pace import ticks_missed, ticks_passed
+from tests.draws import examples_of
 
 PERIOD = Duration(1000)
 
@@ -25,7 +26,7 @@ def test_later_it_is_missed_and_the_next_one_is_waited_for() -> None:
     assert ticks_missed(Instant(5000), PERIOD, Instant(9501)) == 5
 
 
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 @given(due=st.integers(0, 10**9), late=st.integers(-(10**6), 10**7), period=st.integers(2, 10**6))
 def test_no_tick_is_missed_that_could_be_served(due: int, late: int, period: int) -> None:
     now = Instant(due + late)

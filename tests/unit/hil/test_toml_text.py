@@ -4,10 +4,11 @@ import tomllib
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.hil.configuration.config_files import toml_text
+from tests.draws import examples_of
 
 KEYS = st.text(
     alphabet=st.characters(blacklist_categories=["Cs"]),
@@ -29,7 +30,7 @@ TABLES = st.dictionaries(KEYS, VALUES, max_size=5)
 
 
 @pytest.mark.long
-@settings(derandomize=True, deadline=None, max_examples=300)
+@examples_of(300)
 @given(TABLES)
 def test_reads_back_equal(tables: dict[str, Any]) -> None:
     assert tomllib.loads(toml_text(tables)) == tables

@@ -18,6 +18,7 @@ from servobench.hil.reviewing.trace.frame_columns import LogFrame
 from servobench.hil.reviewing.trace.node_objects import KnownNodes, SheetFile
 from servobench.hil.reviewing.trace.sdo_transfer import KEPT_MAX
 from servobench.hil.reviewing.trace.trace_entry import TraceEntry
+from tests.draws import examples_of
 
 READ_SPEED, SPEED = "601#406C600000000000", "581#436C6000D0070000"
 FACTORS = (
@@ -181,6 +182,7 @@ def test_frames_that_are_no_canopen_are_told_as_such() -> None:
     ]
 
 
+@examples_of(100)
 @given(
     st.lists(
         st.tuples(

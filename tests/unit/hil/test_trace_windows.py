@@ -126,7 +126,7 @@ def written_by_a_recorder(folder: Path, seed: int) -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("indexed", [False, True])
-@pytest.mark.parametrize("seed", few_of(range(15), 4))
+@pytest.mark.parametrize("seed", few_of(range(15), 2))
 def test_a_window_has_the_lines_of_the_whole(tmp_path: Path, seed: int, indexed: bool) -> None:
     recorded(tmp_path, format="4", first_cycle_epoch_ns="100000000000")
     drawn_log(tmp_path, seed)

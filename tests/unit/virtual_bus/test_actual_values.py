@@ -4,10 +4,11 @@ import math
 from fractions import Fraction
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.virtual_bus.core.native import InnerLoops, clipped, user_position
+from tests.draws import examples_of
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 HALVES = st.integers(-(1 << 34), 1 << 34).map(lambda twice: twice / 2)
@@ -19,14 +20,14 @@ def nearest(value: float) -> int:
     return round(Fraction(value))
 
 
-@settings(derandomize=True, deadline=None, max_examples=500)
+@examples_of(500)
 @given(FINITE | HALVES, st.sampled_from([8, 16, 32]))
 def test_a_number_is_rounded_into_its_bits(value: float, bits: int) -> None:
     most = (1 << (bits - 1)) - 1
     assert clipped(value, bits) == min(max(nearest(value), -most - 1), most)
 
 
-@settings(derandomize=True, deadline=None, max_examples=500)
+@examples_of(500)
 @given(FINITE | HALVES, FACTORS)
 def test_a_position_wraps_as_integer32(counts: float, factor: float) -> None:
     units = counts / factor

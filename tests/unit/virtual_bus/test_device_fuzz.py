@@ -2,12 +2,13 @@
 
 import random
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.canopen.nmt_states import NmtState
 from servobench.drivers.timebase import Instant
 from servobench.virtual_bus.frame import Frame
+from tests.draws import examples_of
 from tests.unit.virtual_bus.device_bench import DEFAULTS, NODE, Bench
 
 CAN_IDS = (0x000, 0x080, 0x180 + NODE, 0x200 + NODE, 0x300 + NODE, 0x600 + NODE, 0x700 + NODE, 0x77F)
@@ -54,7 +55,7 @@ def answers_a_plain_read(bench: Bench) -> bool:
 
 
 @given(st.lists(st.tuples(frames, st.integers(0, 50_000_000)), max_size=60))
-@settings(derandomize=True, deadline=None, max_examples=150)
+@examples_of(150)
 def test_random_frames(sequence: list[tuple[Frame, int]]) -> None:
     bench = Bench()
     for frame, pause_ns in sequence:

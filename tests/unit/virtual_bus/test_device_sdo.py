@@ -3,10 +3,11 @@
 import struct
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.virtual_bus.device.sdo_abort import AbortCode
+from tests.draws import examples_of
 from tests.unit.virtual_bus.device_bench import (
     LEVEL,
     NODE,
@@ -20,7 +21,7 @@ from tests.unit.virtual_bus.device_bench import (
     SdoRefused,
 )
 
-EXAMPLES = settings(derandomize=True, deadline=None, max_examples=60)
+EXAMPLES = examples_of(60)
 NOTE_MUX = NOTE.to_bytes(2, "little") + b"\x00"
 
 

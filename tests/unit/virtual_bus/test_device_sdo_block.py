@@ -3,14 +3,15 @@
 import random
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.virtual_bus.device.sdo_abort import AbortCode
 from servobench.virtual_bus.device.sdo_server import block_crc
+from tests.draws import examples_of
 from tests.unit.virtual_bus.device_bench import LEVEL, NODE, NOTE, Bench
 
-EXAMPLES = settings(derandomize=True, deadline=None, max_examples=40)
+EXAMPLES = examples_of(40)
 NOTE_MUX = NOTE.to_bytes(2, "little") + b"\x00"
 REQUEST = 0x600 + NODE
 

@@ -3,13 +3,14 @@
 import math
 from struct import pack
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import State
 from servobench.virtual_bus.drive.machine import MACHINE
 from servobench.virtual_bus.frame import Frame
+from tests.draws import examples_of
 from tests.unit.virtual_bus.motion_bench import ENABLED, MotionBench
 from tests.unit.virtual_bus.servo_bench import SYNC
 
@@ -72,7 +73,7 @@ STEPS = st.lists(
 MODE_NUMBERS = (0, 1, 3, 4, 6, 8, 9, 10)
 
 
-@settings(derandomize=True, deadline=None, max_examples=150)
+@examples_of(150)
 @given(STEPS)
 def test_anything_may_be_written_at_any_time(steps: list[tuple[int, int, bytes] | int | float]) -> None:
     bench = MotionBench(mode=10)  # type: ignore[arg-type]

@@ -2,7 +2,7 @@
 
 import random
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.record import values_of
@@ -10,10 +10,11 @@ from servobench.drivers.timebase import Instant
 from servobench.virtual_bus.bus.controller import ErrorState
 from servobench.virtual_bus.bus.disturbance import Disturbance
 from servobench.virtual_bus.frame import Frame
+from tests.draws import examples_of
 from tests.unit.virtual_bus.can_reference import random_frame
 from tests.unit.virtual_bus.error_bench import Bench, length
 
-EXAMPLES = settings(derandomize=True, deadline=None)
+EXAMPLES = examples_of(100)
 
 
 @EXAMPLES

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.errors import BadInput
@@ -31,6 +31,7 @@ from servobench.virtual_bus.faults.kinds.periodic_loss import PeriodicLoss
 from servobench.virtual_bus.faults.kinds.slow_drive import SlowDrive
 from servobench.virtual_bus.faults.node_faults import DrawnNode, ReplayedNode
 from servobench.virtual_bus.frame import Frame
+from tests.draws import examples_of
 from tests.fates import fate_of, keys
 from tests.unit.virtual_bus.test_faults import IN, MS, OUT, RPDO1, TPDO1, TPDO2, uniform
 from tests.unit.virtual_bus.test_special_faults import ONE_OF_EACH
@@ -176,7 +177,7 @@ def counted(source: FateSource) -> dict[str, dict[str, int]]:
 KEYS = ((OUT, RPDO1), (IN, TPDO1), (IN, TPDO2), (IN, 0x182), (IN, 0x581), (OUT, 0x080))
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
+@examples_of(60)
 @given(
     chosen=st.sets(st.integers(0, len(ONE_OF_EACH) + 2), max_size=6),
     picks=st.lists(st.tuples(st.integers(0, 5), st.integers(0, 4000)), min_size=1, max_size=150),

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator, Sequence
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -22,6 +22,7 @@ from servobench.virtual_bus.faults.kinds.burst import Burst
 from servobench.virtual_bus.faults.kinds.delay import Delay
 from servobench.virtual_bus.faults.kinds.loss import Loss
 from servobench.virtual_bus.faults.kinds.periodic_loss import PeriodicLoss
+from tests.draws import examples_of
 from tests.fates import DROPPED, PASSED, FrameFate, fate_of, keys
 
 OUT, IN = Direction.HOST_TO_DRIVE, Direction.DRIVE_TO_HOST
@@ -143,7 +144,7 @@ def test_delays_add_up() -> None:
     assert fate_of(both, IN, TPDO1, Instant(0)) == FrameFate(False, Duration(120))
 
 
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 @given(
     gaps=st.lists(st.integers(0, 2_000), min_size=1, max_size=60),
     most=st.integers(1, 5_000),
@@ -317,6 +318,7 @@ from servobench.drivers.timebase import Instant
 from tests.unit.virtual_bus.test_faults import IN, fates, started, uniform
 from servobench.virtual_bus.faults.kinds.burst import Burst
 from servobench.virtual_bus.faults.kinds.loss import Loss
+from tests.draws import examples_of
 burst = Burst(p_good_to_bad=0.1, p_bad_to_good=0.3)
 print(fates(started(Loss(probability=0.1), burst, uniform(0, 1000)), 50))
 """

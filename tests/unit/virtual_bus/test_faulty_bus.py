@@ -6,7 +6,7 @@ from typing import Any
 
 import can
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.timebase import NS_PER_S, Instant
@@ -25,6 +25,7 @@ from servobench.virtual_bus.faults.kinds.delay import Delay
 from servobench.virtual_bus.faults.kinds.loss import Loss
 from servobench.virtual_bus.frame import Frame
 from servobench.virtual_bus.timeline import SimulatedClock, Timeline
+from tests.draws import examples_of
 from tests.fates import keys
 from tests.hearing import Hearing
 from tests.ports import fetched
@@ -167,7 +168,7 @@ def test_frames_come_in_the_order_of_release_even_if_nobody_looked(rigs: Rigs) -
     assert order == [0x701, TPDO]
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
+@examples_of(60)
 @given(
     sends=st.lists(st.tuples(st.integers(0, 20 * MS), st.sampled_from([TPDO, 0x282, 0x701])), max_size=25),
     waits=st.lists(st.integers(MS // 10, 3 * MS), min_size=40, max_size=40),

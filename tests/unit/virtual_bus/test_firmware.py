@@ -7,12 +7,13 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.design.motor import PmsmParameters
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
 from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
+from tests.draws import examples_of
 from tests.motors import AZAIZ, LING
 
 TICK_NS = 62_500
@@ -58,7 +59,7 @@ def test_a_rate_that_no_ns_fits_does_not_drift() -> None:
     assert firmware.tick_at == 3 * NS_PER_S
 
 
-@settings(derandomize=True, deadline=None, max_examples=200)
+@examples_of(200)
 @given(
     st.sampled_from([1_000, 4_001, 16_000, 99_991]),
     st.integers(0, NS_PER_S),
@@ -78,7 +79,7 @@ def test_the_next_tick_is_the_first_at_or_after(rate_hz: int, begun: int, passed
     assert firmware.tick_at == begun + math.floor(Fraction(firmware.ticks * NS_PER_S, rate_hz))
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
+@examples_of(40)
 @given(st.lists(st.integers(0, 3 * NS_PER_MS), min_size=1, max_size=8))
 def test_how_often_it_is_advanced_makes_no_difference(pauses: list[int]) -> None:
     pieces, whole = torque_drive(), torque_drive()
@@ -230,7 +231,7 @@ def test_every_inner_rate_has_current_loops_that_settle(rate_hz: int) -> None:
     assert firmware.inner.torque_measured_nm == pytest.approx(0.5, rel=0.02)
 
 
-@settings(derandomize=True, deadline=None, max_examples=50)
+@examples_of(50)
 @given(
     st.lists(
         st.tuples(st.floats(-8.0, 8.0), st.floats(0.0, 6.0), st.floats(1.0, 200.0), st.booleans()),

@@ -8,7 +8,7 @@ from itertools import repeat
 from typing import NoReturn
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.timebase import NEVER, Instant, MonotonicClock
@@ -36,9 +36,10 @@ from servobench.virtual_bus.bus.segment import CanSegment
 from servobench.virtual_bus.core.native import HubEnd
 from servobench.virtual_bus.frame import Frame
 from servobench.virtual_bus.timeline import Timeline
+from tests.draws import examples_of
 from tests.unit.virtual_bus.can_reference import random_frame
 
-EXAMPLES = settings(derandomize=True, deadline=None)
+EXAMPLES = examples_of(100)
 
 
 @EXAMPLES

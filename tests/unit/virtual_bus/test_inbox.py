@@ -3,16 +3,17 @@
 from collections import deque
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.timebase import Instant
 from servobench.virtual_bus.core.native import HostPlace
 from servobench.virtual_bus.frame import Frame
 from servobench.virtual_bus.timeline import Timeline
+from tests.draws import examples_of
 
 
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 @given(st.lists(st.tuples(st.booleans(), st.integers(1, 90)), max_size=60))
 def test_it_is_a_queue(steps: list[tuple[bool, int]]) -> None:
     """``steps``: so many put in, or so many taken out."""

@@ -7,7 +7,7 @@ from heapq import heappop, heappush
 
 import can
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.timebase import Duration, Instant
@@ -18,6 +18,7 @@ from servobench.virtual_bus.bus.segment import CanSegment
 from servobench.virtual_bus.core.native import Port, Segment
 from servobench.virtual_bus.frame import Frame
 from servobench.virtual_bus.timeline import Timeline
+from tests.draws import examples_of
 from tests.hearing import Hearing
 
 MS = 1_000_000
@@ -27,7 +28,7 @@ def _note(happened: list[tuple[int, int]], order: int, now: Instant) -> None:
     happened.append((now, order))
 
 
-@settings(derandomize=True, deadline=None, max_examples=300)
+@examples_of(300)
 @given(st.lists(st.one_of(st.none(), st.integers(0, 20))))
 def test_events_come_by_instant_and_then_in_the_order_of_entry(steps: list[int | None]) -> None:
     """``steps``: after how long an event is entered, or None to run the next."""

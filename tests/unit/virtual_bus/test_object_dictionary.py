@@ -5,16 +5,17 @@ from typing import Any
 
 import canopen
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.canopen.objects301 import BITS, SIGNED_BITS, DataType
 from servobench.virtual_bus.device.communication_objects import export_eds
 from servobench.virtual_bus.device.object_dictionary import Access, ObjectDictionary
 from servobench.virtual_bus.device.sdo_abort import AbortCode, SdoAbort, decode, encode
+from tests.draws import examples_of
 from tests.unit.virtual_bus.device_bench import NODE, TARGET, Bench
 
-EXAMPLES = settings(derandomize=True, deadline=None)
+EXAMPLES = examples_of(100)
 INTEGERS = sorted(set(BITS) - {DataType.REAL32, DataType.REAL64, DataType.BOOLEAN})
 
 

@@ -11,6 +11,7 @@ from servobench.drivers.canopen.objects301 import BITS, SIGNED_BITS, DataType
 from servobench.virtual_bus.core.native import SIGNED, PdoCodec
 from servobench.virtual_bus.device.object_dictionary import Variable
 from servobench.virtual_bus.device.pdo_parameters import Field, compiled
+from tests.draws import examples_of
 
 WHOLE = (
     DataType.BOOLEAN,
@@ -44,6 +45,7 @@ def whole_fields(draw: st.DrawFn) -> Sequence[tuple[DataType, int]]:
     return chosen
 
 
+@examples_of(100)
 @given(whole_fields())
 def test_objects_lie_behind_one_another_the_first_lowest(values: Sequence[tuple[DataType, int]]) -> None:
     """CiA 301, 7.5.2.36."""
@@ -57,6 +59,7 @@ def test_objects_lie_behind_one_another_the_first_lowest(values: Sequence[tuple[
     assert list(compiled(fields).unpack(data)) == [value for _, value in values]
 
 
+@examples_of(100)
 @given(st.floats(width=32), st.floats())
 def test_reals_are_as_in_struct(narrow: float, wide: float) -> None:
     for code, data_type, value in (("<f", DataType.REAL32, narrow), ("<d", DataType.REAL64, wide)):

@@ -5,10 +5,11 @@ import math
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.virtual_bus.core.native import sine_cosine
+from tests.draws import examples_of
 from tests.motors import AZAIZ, LING
 from tests.plant import Plant
 
@@ -17,7 +18,7 @@ STICKY = replace(LING, coulomb_friction_nm=0.2, flux_linkage_wb=1e-9)
 """A shaft with Coulomb friction and next to no torque of its own."""
 
 
-@settings(derandomize=True, deadline=None, max_examples=500)
+@examples_of(500)
 @given(st.floats(-1000.0, 1000.0))
 def test_sine_and_cosine(angle: float) -> None:
     sine, cosine = sine_cosine(angle)

@@ -1,7 +1,7 @@
 """The CiA 402 state machine by itself: every command in every state, option codes, ways to rest."""
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.cia402.objects402 import Object
@@ -15,6 +15,7 @@ from servobench.drivers.cia402.profile import (
     command_path,
 )
 from servobench.virtual_bus.drive.power_state import MotorAction, PowerStateMachine
+from tests.draws import examples_of
 
 STANDARD_OPTIONS = {
     Object.QUICK_STOP_OPTION: 2,
@@ -182,7 +183,7 @@ def test_fault_reset_acts_on_the_rising_edge_only() -> None:
     assert states == [State.FAULT, State.FAULT, State.SWITCH_ON_DISABLED], "bit 7 was 1 before the fault"
 
 
-@settings(derandomize=True, deadline=None, max_examples=300)
+@examples_of(300)
 @given(
     words=st.lists(
         st.integers(0, 0xFFFF) | st.sampled_from([0x06, 0x07, 0x0F, 0x02, 0x80, -1, -2]), max_size=60

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import can
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.timebase import NS_PER_US, Instant
@@ -13,11 +13,12 @@ from servobench.virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Listener, OnFram
 from servobench.virtual_bus.bus.segment import CanSegment
 from servobench.virtual_bus.frame import Frame
 from servobench.virtual_bus.timeline import Timeline
+from tests.draws import examples_of
 from tests.hearing import Hearing
 from tests.unit.virtual_bus.can_reference import random_frame, unstuffed_fields
 from tests.unit.virtual_bus.can_reference import wire_bits as reference_wire_bits
 
-EXAMPLES = settings(derandomize=True, deadline=None)
+EXAMPLES = examples_of(100)
 
 Submission = tuple[int, int, Frame]
 """Instant in ns, port, frame."""

@@ -5,7 +5,7 @@ import math
 import struct
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.canopen.error_codes import ErrorRegister
@@ -26,6 +26,7 @@ from servobench.virtual_bus.drive.load_object import LOAD_MACHINE
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from servobench.virtual_bus.frame import Frame
+from tests.draws import examples_of
 from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ENABLE, SYNC, ServoBench
 
@@ -378,7 +379,7 @@ def test_values_do_not_depend_on_how_often_the_drive_was_asked() -> None:
 WORDS = st.one_of(st.sampled_from([0x00, 0x02, 0x06, 0x07, 0x0F, 0x80]), st.integers(0, 0xFFFF))
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
+@examples_of(60)
 @given(st.lists(st.tuples(WORDS, st.integers(-0x8000, 0x7FFF), st.integers(0, 30)), max_size=25))
 def test_any_controlword_sequence_moves_along_the_arrows(words: list[tuple[int, int, int]]) -> None:
     """Each state that a TPDO shows is the one before or one that an arrow, or arrows 3 and 4, leads to."""

@@ -26,6 +26,7 @@ from servobench.virtual_bus.faults.node_faults import DrawnNode
 from servobench.virtual_bus.frame import Frame
 from servobench.virtual_bus.hosting.faulty_device import FaultyDevice
 from servobench.virtual_bus.hosting.injection import Faults, Injection
+from tests.draws import examples_of
 from tests.unit.virtual_bus.test_fault_plan_toml import load
 from tests.unit.virtual_bus.test_node_faults import FaultyBench
 
@@ -143,6 +144,7 @@ def test_a_value_ends_at_the_range_of_its_type() -> None:
     assert tap.pdo(OUT, 0x201, "Hh", 15, -0x8000) == (15, 0x7FFF)
 
 
+@examples_of(100)
 @given(value=st.floats(-1e12, 1e12), bits=st.integers(1, 32), signed=st.booleans())
 def test_saturation_is_numpys_rounding_and_clip(value: float, bits: int, signed: bool) -> None:
     low, high = (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if signed else (0, 2**bits - 1)

@@ -1,13 +1,14 @@
 """The event heap: order, cancelling, and time that never runs backwards."""
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.timebase import Instant
 from servobench.virtual_bus.timeline import SimulatedClock, Timeline
+from tests.draws import examples_of
 
-EXAMPLES = settings(derandomize=True, deadline=None)
+EXAMPLES = examples_of(100)
 
 
 def test_events_run_in_order_of_time_then_of_entry() -> None:

@@ -4,12 +4,13 @@ import math
 from itertools import pairwise
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.virtual_bus.drive.trajectory import MoveLimits, Trajectory, plan_move, plan_speed, plan_stop
+from tests.draws import examples_of
 
-QUICK = settings(derandomize=True, deadline=None, max_examples=300)
+QUICK = examples_of(300)
 POSITIONS = st.floats(-1e6, 1e6)
 RATES = st.floats(0.1, 1e4)
 SPEEDS = st.floats(-1e3, 1e3)

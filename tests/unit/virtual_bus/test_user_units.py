@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from servobench.drivers.cia402.objects402 import Object, Unit, unit_word
@@ -13,6 +13,7 @@ from servobench.virtual_bus.device.object_dictionary import Access, ObjectDictio
 from servobench.virtual_bus.device.sdo_abort import AbortCode
 from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from servobench.virtual_bus.drive.user_units import UserUnits, wrapped
+from tests.draws import examples_of
 from tests.motors import LING
 from tests.unit.virtual_bus.motion_bench import ENABLED, MotionBench
 
@@ -317,7 +318,7 @@ FACTORS = st.sampled_from([1.0, -1.0, 182.04444, -0.5, 65_536.0])
 ORIGINS = st.integers(-(1 << 33), 1 << 33).map(float)
 
 
-@settings(derandomize=True, deadline=None, max_examples=300)
+@examples_of(300)
 @given(FACTORS, ORIGINS, st.integers(-0x8000_0000, 0x7FFF_FFFF), st.floats(-1e12, 1e12))
 def test_a_position_names_the_count_in_the_turn_of_where_the_shaft_is(
     factor: float, origin: float, position: int, near: float
@@ -330,7 +331,7 @@ def test_a_position_names_the_count_in_the_turn_of_where_the_shaft_is(
     assert abs(nearest - near) <= abs(factor) * ((1 << 31) + 1)
 
 
-@settings(derandomize=True, deadline=None)
+@examples_of(100)
 @given(st.integers(-(1 << 40), 1 << 40))
 def test_wrapped_is_integer32(value: int) -> None:
     assert -(1 << 31) <= wrapped(value) < 1 << 31
