@@ -14,7 +14,7 @@ from servobench.hil.verdict.verdict import VerdictKind
 from tests.scenario.foreign_node import beside_the_bench
 from tests.scenario.processes import EXAMPLES
 from tests.strangers.forger import PHASES, RUNNING_ALONE, SENT, Forger, Forgery
-from tests.truth.drawn import DrawnPlan
+from tests.truth.drawn_bench import DrawnPlan
 from tests.truth.drawn_run import bench_config
 from tests.truth.tapped_run import Surroundings, run_with_taps
 

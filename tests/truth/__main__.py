@@ -24,7 +24,8 @@ from typing import Final
 
 from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from tests.truth.doubts import CAUSES
-from tests.truth.drawn import FEATURES, DrawnPlan, drawn_plan, shrunk
+from tests.truth.drawn import FEATURES, drawn_plan, shrunk
+from tests.truth.drawn_bench import DrawnPlan
 from tests.truth.drawn_run import CYCLES, Verdict, judged
 
 FOREVER_S: Final = 1e9

@@ -5,15 +5,15 @@ feature that is left out, or a new one, changes no other. How many of them come 
 """
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, field
 from math import exp, log
 from random import Random
 from typing import Any, Final
 
 from servobench.drivers.wire.frame_port import EchoBasis
 from tests.truth.adapter import Adapter
+from tests.truth.drawn_bench import PERIOD_US, DrawnPlan
+from tests.truth.standstills import Standstills, Waiting
 
-PERIOD_US: Final = 1000
 DENSITY: Final = (0.2, 1.0)
 """The chances of all features are scaled by a number between: plans of two features tell what fails, plans of
 ten what is left when each holds alone."""
@@ -26,73 +26,19 @@ BACKGROUND_BITS: Final = 130
 """A frame of eight bytes on the wire."""
 
 
-@dataclass(slots=True)
-class DrawnPlan:
-    """A bench and what befalls it, as its features have made it."""
-
-    seed: int
-    features: list[str] = field(default_factory=list)
-    """Those that are in it, by name."""
-    words: list[str] = field(default_factory=list)
-    """What each of them says."""
-    axes: int = 1
-    period_us: int = PERIOD_US
-    deadline_us: int = 2 * PERIOD_US
-    horizon_periods: int = 20
-    sync: str = "own"
-    producer_period_us: int = PERIOD_US
-    producer_jitter_us: int = 0
-    actuation: str = "on_arrival"
-    readback: str = "sync"
-    position_every: int = 1
-    has_stamps: bool = True
-    simulation: dict[str, Any] = field(default_factory=dict)
-    """How all drives stamp and act on SYNCs, as the table ``simulation`` of a bench file."""
-    stamp_resolution_us: float = 1.0
-    """What the bench is told of the stamps."""
-    clock_starts_at_us: int | None = None
-    drifts_ppm: tuple[float, ...] = (0.0, 0.0, 0.0)
-    adapter: Adapter | None = None
-    background: list[dict[str, Any]] = field(default_factory=list)
-    faults: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
-    reading_delay_us: float = 0.0
-    """The longest that faults may hold a reading."""
-    sync_jitter_us: float = 0.0
-    """The longest that faults may hold a SYNC behind its echo."""
-    sync_wait_us: float = 0.0
-    """As that, in front of its echo."""
-
-    @property
-    def heard(self) -> bool:
-        """Whether the loop makes no SYNC itself."""
-        return self.sync != "own"
-
-    @property
-    def delays_are_short(self) -> bool:
-        """Whether delays stay below two periods: then doubt is rare without stamps too."""
-        return self.reading_delay_us < 2 * self.period_us
-
-    @property
-    def stamps_are_fine(self) -> bool:
-        """Whether the steps of the stamps say which SYNC they are of; else order places the readings."""
-        steps_us = (self.stamp_resolution_us, self.simulation.get("stamp_resolution_us", 1))
-        return self.has_stamps and 10 * max(steps_us) <= self.period_us
-
-    def add(self, kind: str, **keys: Any) -> None:
-        """One more fault, as in a fault plan."""
-        self.faults.setdefault(kind, []).append(keys)
-
-
 Draw = Random
 Feature = Callable[[Draw, DrawnPlan], str]
 """Puts itself into a plan and says how, in words; it says nothing if it does not fit."""
-FEATURES: Final[dict[str, tuple[float, Feature]]] = {}
-"""By name, the chance at full density. Their order matters: later ones look at what earlier ones chose."""
+FEATURES: Final[dict[str, tuple[float, int, Feature]]] = {}
+"""By name, the chance at full density, and the first seed that may draw it. Their order matters: later ones
+look at what earlier ones chose."""
 
 
-def _feature(chance: float) -> Callable[[Feature], Feature]:
+def _feature(chance: float, first: int = 0) -> Callable[[Feature], Feature]:
+    """``first``: plans of seeds before are as they were before the feature was there."""
+
     def register(make: Feature) -> Feature:
-        FEATURES[make.__name__.strip("_").replace("_", " ")] = chance, make
+        FEATURES[make.__name__.strip("_").replace("_", " ")] = chance, first, make
         return make
 
     return register
@@ -102,9 +48,14 @@ def drawn_plan(seed: int, without: Collection[str] = (), only: Collection[str] |
     """The plan of ``seed``, less the features ``without``, or reduced to ``only`` those."""
     density = Random(f"{seed} density").uniform(*DENSITY)
     plan = DrawnPlan(seed)
-    for name, (chance, make) in FEATURES.items():
+    for name, (chance, first, make) in FEATURES.items():
         drawn = Random(f"{seed} {name}")
-        if drawn.random() >= chance * density or name in without or (only is not None and name not in only):
+        if (
+            seed < first
+            or drawn.random() >= chance * density
+            or name in without
+            or (only is not None and name not in only)
+        ):
             continue
         if words := make(drawn, plan):
             plan.features.append(name)
@@ -301,6 +252,16 @@ def _slow_drive(draw: Draw, plan: DrawnPlan) -> str:
     most_us = round(_evenly_in_log(draw, 50, 2500))
     plan.reading_delay_us += most_us
     return _put(plan, "slow_drive", tpdo_delay_min_us=0, tpdo_delay_max_us=most_us, **_node(draw, plan))
+
+
+@_feature(0.15, first=480_000)
+def _standstills(draw: Draw, plan: DrawnPlan) -> str:
+    """Of the drives' processes: up to several periods, each for itself."""
+    longest_us = round(draw.choice((0.9, 1.9, 5.0)) * plan.period_us)
+    every_us = draw.choice((20, 100)) * plan.period_us
+    plan.standstills = Standstills(every_us, longest_us, draw.choice(tuple(Waiting)))
+    plan.reading_delay_us += longest_us
+    return f"drives stand still 0 to {longest_us} us, {every_us} us apart; {plan.standstills.waiting.value}"
 
 
 @_feature(0.35)

@@ -16,11 +16,13 @@ from servobench.hil.configuration.config import BenchConfig
 from tests.truth.adapter import STAMP_TICK_NS
 from tests.truth.command_judge import CommandJudgement, judge_commands
 from tests.truth.doubts import doubts
-from tests.truth.drawn import TICK_US, DrawnPlan
+from tests.truth.drawn import TICK_US
+from tests.truth.drawn_bench import DrawnPlan
 from tests.truth.judge import Judgement, Timing, judge_axis
 from tests.truth.oracle import undecidable
 from tests.truth.other_ways import explained_otherwise
 from tests.truth.rows import READING_IS_A_SET, told_by
+from tests.truth.standstills import Waiting
 from tests.truth.tapped_run import Surroundings, TappedRun, run_with_taps
 from tests.truth.taps import SYNC_ID
 from tests.truth.truth import axis_truth, passages
@@ -81,7 +83,7 @@ def judged(plan: DrawnPlan, cycles: int = CYCLES) -> Verdict:
     verdict = Verdict(plan)
     config = bench_config(plan, cycles)
     try:
-        run = run_with_taps(config, Surroundings(plan.clock_starts_at_us, plan.adapter))
+        run = run_with_taps(config, Surroundings(plan.clock_starts_at_us, plan.adapter, plan.standstills))
         verdict.ended_by = run.ended_by
         if run.rows.size:
             _judge(run, config, verdict)
@@ -116,6 +118,8 @@ def timing_of(plan: DrawnPlan, config: BenchConfig) -> Timing:
     unseen_us = plan.sync_jitter_us + plan.simulation.get("stamp_resolution_us", 1.0) + TICK_US
     if plan.adapter is not None and error is None:  # nothing tells what a SYNC waited in front of the bus
         unseen_us += plan.adapter.late_us + plan.sync_wait_us + FRAME_US
+    if plan.standstills is not None and plan.standstills.waiting is not Waiting.ANSWERS:
+        unseen_us += plan.standstills.longest_us
     unseen = (error or 0) + round(unseen_us * NS_PER_US)
     loop = config.loop
     return Timing(loop.period, loop.deadline, loop.horizon_periods, plan.heard, error, Duration(unseen))

@@ -21,7 +21,8 @@ from itertools import accumulate
 from typing import Final
 
 from servobench.drivers.timebase import Duration
-from tests.truth.drawn import DrawnPlan, drawn_plan
+from tests.truth.drawn import drawn_plan
+from tests.truth.drawn_bench import DrawnPlan
 from tests.truth.drawn_run import CYCLES, bench_config, timing_of
 from tests.truth.rows import READING_IS_A_SET, each_row, told_by
 from tests.truth.tapped_run import Surroundings, run_with_taps

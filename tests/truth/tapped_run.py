@@ -20,6 +20,7 @@ from servobench.hil.verdict.summary import Summary
 from servobench.virtual_bus.device.canopen_device import CanopenDevice
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from tests.truth.adapter import Adapter, AdapterPort
+from tests.truth.standstills import StandingDrive, Standstills
 from tests.truth.taps import HostTap, TapLog, tap_drives
 
 
@@ -45,6 +46,8 @@ class Surroundings:
     """1013h of every drive at power-on; None: drawn from the seed of the bench."""
     adapter: Adapter | None = None
     """Between the loop and the bus; None: every stamp is the end of its frame."""
+    standstills: Standstills | None = None
+    """Of every drive; None: it never stands still."""
 
 
 PLAIN: Final = Surroundings()
@@ -64,8 +67,10 @@ def run_with_taps(config: BenchConfig, surroundings: Surroundings = PLAIN) -> Ta
     @contextmanager
     def open_world(plan: WorldPlan, devices: Sequence[Any]) -> Iterator[World]:
         drives = [device for device in devices if isinstance(device, SimulatedServo)]
-        taps = cast("list[CanopenDevice]", tap_drives(drives, log, surroundings.clock_starts_at_us))
-        with inner(plan, taps) as made:
+        taps: list[Any] = list(tap_drives(drives, log, surroundings.clock_starts_at_us))
+        if (drawn := surroundings.standstills) is not None:
+            taps = [StandingDrive(tap, drawn, plan.seed) for tap in taps]
+        with inner(plan, cast("list[CanopenDevice]", taps)) as made:
             yield _tapped(made, log, surroundings.adapter, plan.seed)
 
     ended_by = ""

@@ -51,6 +51,15 @@ class Heard(NamedTuple):
     """What the drive's clock showed."""
 
 
+class HeardCommand(NamedTuple):
+    """An RPDO at the drive."""
+
+    at: Instant
+    frame: Frame
+    syncs_before: int
+    """SYNCs that it had heard by then: one and the other may come in one instant."""
+
+
 @dataclass(frozen=True, slots=True)
 class Field:
     """Where an object lies in a PDO."""
@@ -130,7 +139,7 @@ class DriveLog:
     layout: PdoLayout | None = None
     syncs: list[Heard] = field(default_factory=list)
     """Those that it answered, so none before it was operational."""
-    commands: list[Passed] = field(default_factory=list)
+    commands: list[HeardCommand] = field(default_factory=list)
 
 
 @dataclass(slots=True)
@@ -219,7 +228,7 @@ class DriveTap:
             elif self._drive.state is NmtState.OPERATIONAL:
                 self._held.append(frame)
         elif can_id == self._command_id:
-            self._log.commands.append(Passed(now, frame))
+            self._log.commands.append(HeardCommand(now, frame, len(self._log.syncs)))
         return answers
 
     def _note_sync(self, frame: Frame, now: Instant, answers: Sequence[Frame]) -> None:

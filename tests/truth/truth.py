@@ -2,13 +2,14 @@
 
 from bisect import bisect_left
 from collections import defaultdict
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Final, NamedTuple
 
 from servobench.drivers.timebase import NS_PER_US, Duration, Instant
 from servobench.virtual_bus.frame import Frame
-from tests.truth.taps import SYNC_ID, Heard, Passed, PdoLayout, TapLog
+from tests.truth.taps import SYNC_ID, Heard, HeardCommand, Passed, PdoLayout, TapLog
 
 SPEED, STAMP = 0x606C, 0x1013
 _STEP_LEAST_NS: Final = 2 * NS_PER_US
@@ -170,7 +171,7 @@ def spacings_below(instants: list[Instant], least: Duration) -> int:
     return sum(later - earlier < least for earlier, later in pairwise(instants))
 
 
-def _first(passed: list[Passed]) -> dict[int, Instant]:
+def _first(passed: Iterable[Passed]) -> dict[int, Instant]:
     """By identity of the frame, when it first passed."""
     first: dict[int, Instant] = {}
     for at, frame in passed:
@@ -207,7 +208,7 @@ def _command_truths(log: TapLog, node_id: int, on_bus: dict[int, Instant]) -> di
     assert drive.layout is not None
     acts = _acting(drive.commands, drive.syncs) if drive.layout.command_is_synchronous else None
     if acts is None:
-        acts = _first(drive.commands)
+        acts = _first(Passed(at, frame) for at, frame, _ in drive.commands)
     commands: dict[int, list[CommandTruth]] = defaultdict(list)
     for at, frame in log.handed:
         if drive.layout.is_set_point(frame):
@@ -215,14 +216,12 @@ def _command_truths(log: TapLog, node_id: int, on_bus: dict[int, Instant]) -> di
     return commands
 
 
-def _acting(commands: list[Passed], syncs: list[Heard]) -> dict[int, Instant]:
+def _acting(commands: list[HeardCommand], syncs: list[Heard]) -> dict[int, Instant]:
     """A synchronous RPDO acts at the next SYNC, unless a later one has come by then (CiA 301, 7.2.2.3)."""
-    times = [heard.at for heard in syncs]
     acts: dict[int, Instant] = {}
     last_place = -1
-    for at, frame in reversed(commands):
-        place = bisect_left(times, at + 1)
-        if place < len(times) and place != last_place:
-            acts[id(frame)] = times[place]
+    for _, frame, place in reversed(commands):
+        if place < len(syncs) and place != last_place:
+            acts[id(frame)] = syncs[place].at
         last_place = place
     return acts
