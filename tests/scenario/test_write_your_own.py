@@ -18,7 +18,7 @@ from tests.scenario.processes import quiet_environment
 ROOT: Final = Path(__file__).parents[2]
 PAGE: Final = (ROOT / "docs" / "write-your-own.md").read_text(encoding="utf-8")
 ROOMS: Final = ("design", "drivers", "hil", "virtual_bus")
-LEFT_OUT: Final = shutil.ignore_patterns("*.cpython-*", "compiled.json")
+LEFT_OUT: Final = shutil.ignore_patterns("*.cpython-*.so", "compiled.json")
 RPM: Final = np.pi / 30.0
 TABLE: Final = {
     title: (place.strip("`"), lines)
@@ -93,7 +93,7 @@ class Copy:
         done = subprocess.run(
             [sys.executable, *arguments],
             cwd=self.folder,
-            env={**quiet_environment(), "PYTHONPATH": str(self.folder), "PYTHONDONTWRITEBYTECODE": "1"},
+            env={**quiet_environment(), "PYTHONPATH": str(self.folder)},
             capture_output=True,
             text=True,
             timeout=100,
