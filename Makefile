@@ -4,6 +4,7 @@
 #   make demo        run the example bench on the simulated drive; builds the core first, some seconds
 #   make check       format, lint, types, import rules
 #   make test        the tests that need no SocketCAN
+#   make collect     have pytest read all tests: whoever runs them next finds them compiled
 #   make unit        the unit tests of one room, ROOM=drivers, virtual_bus, design or hil
 #   make draws       the tests of which make test takes a few drawn cases, with all of them
 #   make edits       edit the files of a campaign EDITS times between its runs: no row may rest on another content
@@ -69,7 +70,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup core core-debug core-fuzz compile pure wheel wheels demo check format test unit draws edits stranger test-dask test-vcan test-can truth swarm rehearsals sheets mistakes strangers outages attack mutate pictures exits bench instructions docs lock clean
+.PHONY: help setup core core-debug core-fuzz compile pure wheel wheels demo check format test collect unit draws edits stranger test-dask test-vcan test-can truth swarm rehearsals sheets mistakes strangers outages attack mutate pictures exits bench instructions docs lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -149,10 +150,15 @@ format: $(TOOLS)
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
+IGNORED := --ignore=tests/vcan --ignore=tests/can --ignore=tests/dask
+
 # A third process on two cores: the tests in real time, which mostly wait, are in the first and go before the others.
 # What is broken everywhere ends early, with its failures shown, not at the limit of each test.
 test: $(TOOLS) compile
-	$(BIN)/pytest --maxfail=25 --tx popen --tx '2*popen//nice=10' --dist=loadgroup --ignore=tests/vcan --ignore=tests/can --ignore=tests/dask
+	$(BIN)/pytest --maxfail=25 --tx popen --tx '2*popen//nice=10' --dist=loadgroup $(IGNORED)
+
+collect: $(TOOLS) $(CORE)
+	@$(BIN)/pytest --collect-only --quiet --quiet $(IGNORED) >/dev/null
 
 ROOM ?= $(error which room? make unit ROOM=drivers, virtual_bus, design or hil)
 
