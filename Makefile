@@ -180,7 +180,7 @@ test-dask: $(TOOLS) compile
 	@$(BIN)/pytest tests/dask
 
 test-vcan: $(TOOLS) compile
-	@.ci/test-vcan $(BIN)/pytest tests/vcan
+	@.ci/test-vcan $(BIN)/pytest -o timeout=300 tests/vcan
 
 test-can: $(TOOLS) compile
 	@.ci/test-can $(BIN)/pytest -o timeout=600 $(if $(CORE),-m "not long") tests/can tests/vcan/test_bus_contract.py
