@@ -57,6 +57,18 @@ class Heat:
     viscous_factor: float = 1.0
 
 
+@dataclass(frozen=True, slots=True)
+class Commutation:
+    """How encoder and lines of the motor are joined, where a drive has to be told."""
+
+    offset_rad: float = 0.0
+    """Electrical angle to be added to the encoder's."""
+    lines_swapped: bool = False
+    """The rotor's electrical angle falls while the encoder's rises."""
+    pole_pairs_set: int | None = None
+    """Pole pairs that the drive is delivered with; None: the motor's."""
+
+
 UNHEATED: Final = Heat(1.0, 1.0)
 """A motor whose file names no temperature."""
 
@@ -87,6 +99,8 @@ class PmsmParameters:
     """Saturation of the motor as it is; None: constant inductances. No drive and no design knows of it."""
     heat: Heat | None = None
     """Temperature of the motor as it is; None: resistance and flux are those above."""
+    commutation: Commutation | None = None
+    """None: every drive commutates by the rotor's angle."""
 
     @property
     def torque_factor(self) -> float:

@@ -54,6 +54,7 @@ from servobench.hil.terminal.measure import measure
 from servobench.hil.terminal.motor import motor
 from servobench.hil.terminal.output import say
 from servobench.hil.terminal.params import clone, diff, load, save
+from servobench.hil.terminal.phase import phase
 from servobench.hil.terminal.picture import picture
 from servobench.hil.terminal.presets import presets
 from servobench.hil.terminal.recover import recover
@@ -291,7 +292,7 @@ def doctor(as_json: JsonOption = False) -> None:
 
 add_commands(app, init, simulate, presets, doctor, docs, panel="Run")
 add_commands(app, scan, trace, fault, stop, io, eds, adapter, panel="Inspect")
-add_commands(app, commission, jog, homing, brake, measure, fit, restore, rehearse, panel="Commission")
+add_commands(app, commission, jog, homing, brake, phase, measure, fit, restore, rehearse, panel="Commission")
 add_commands(app, view, why, review, runs, compare, picture, export, recover, panel="Review")
 app.add_typer(campaign, rich_help_panel="Run")
 app.add_typer(params, rich_help_panel="Inspect")

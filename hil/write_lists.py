@@ -9,8 +9,9 @@ from types import MappingProxyType
 from typing import Final
 
 from servobench.drivers.canopen.objects301 import Cia301
-from servobench.drivers.canopen.write_list import NOTHING, ListedWrite, WriteList
+from servobench.drivers.canopen.write_list import NOTHING, ListedWrite, Product, WriteList
 from servobench.drivers.cia402.objects402 import CONTROL, MOTION, SET_UP, Object, listed
+from servobench.drivers.vendors.families import commutation_for
 from servobench.virtual_bus.drive.load_object import (
     LOAD_COURSE_SUB,
     LOAD_DELAY_SUB,
@@ -72,6 +73,7 @@ RESTORE: Final = (
             listed(Object.HOMING_SPEEDS, "speeds of that homing", _TURN, (1, 2)),
             listed(Object.HOMING_ACCELERATION, "ramp of that homing", _TURN),
             listed(Object.HOME_OFFSET, "position of the home", "hil homing --offset-turns"),
+            listed(Object.COMMUTATION_ANGLE, "angle of the field", "hil phase: each 20 ms"),
             listed(
                 Object.DIGITAL_OUTPUTS,
                 "outputs, the brake's among them",
@@ -91,6 +93,35 @@ COMMISSION: Final = (
 JOG: Final = RESTORE.named("hil jog")
 HOMING: Final = RESTORE.named("hil homing")
 BRAKE: Final = RESTORE.named("hil brake")
+
+
+def makers_commutation(product: Product) -> tuple[ListedWrite, ...]:
+    """Return the objects in which a drive of this make keeps how encoder and rotor are joined."""
+    known = commutation_for(product.vendor, product.code, product.device_name)
+    return tuple(
+        ListedWrite(
+            range(each.index, each.index + 1),
+            (each.sub,),
+            "Commutation",
+            "pole pairs, order of the lines and offset as found",
+            "hil phase",
+            product,
+        )
+        for each in (() if known is None else known.settings)
+    )
+
+
+PHASE: Final = (
+    RESTORE
+    | WriteList(
+        "phase",
+        (
+            *makers_commutation(SIMULATED_DRIVE),
+            listed(Cia301.STORE_PARAMETERS, "the drive keeps its settings", "with --store", (1,)),
+        ),
+    )
+).named("hil phase")
+"""Of a known maker's drive its own objects too, once it has said whose it is."""
 IO: Final = WriteList("hil io", (listed(Object.DIGITAL_OUTPUTS, "outputs as asked for", "--set", (1, 2)),))
 STOP: Final = CONTROL.named("hil stop")
 FAULT: Final = CONTROL.named("hil fault")
@@ -105,6 +136,7 @@ COMMANDS: Final[Mapping[str, WriteList]] = MappingProxyType(
         "jog": JOG,
         "homing": HOMING,
         "brake": BRAKE,
+        "phase": PHASE,
         "io": IO,
         "restore": RESTORE,
         "stop": STOP,

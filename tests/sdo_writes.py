@@ -6,7 +6,7 @@ Source: CiA 301 7.2.4.3, the requests of the SDO protocols.
 from collections.abc import Sequence
 from typing import Final
 
-from servobench.drivers.canopen.write_list import WriteList
+from servobench.drivers.canopen.write_list import Product, WriteList
 from servobench.drivers.timebase import Instant
 from servobench.virtual_bus.frame import Frame
 
@@ -47,11 +47,15 @@ class SdoWrites:
             self.asked.add((frame.data[1] + 256 * frame.data[2], frame.data[3]))
         return ()
 
-    def unlisted(self, allowed: WriteList) -> list[str]:
-        """What was written though no list allows it on a drive of any make. Error: AssertionError for a
-        bus on which nothing was written."""
+    def unlisted(self, allowed: WriteList, product: Product | None = None) -> list[str]:
+        """What was written though the list does not allow it on ``product``; None: a drive of any make.
+        Error: AssertionError for a bus on which nothing was written."""
         assert self.objects, "no write was heard"
-        return [f"{index:04X}h:{sub:02X}" for index, sub in self.objects if (index, sub) not in allowed]
+        return [
+            f"{index:04X}h:{sub:02X}"
+            for index, sub in self.objects
+            if not allowed.allows(index, sub, product)
+        ]
 
     def wake(self, now: Instant) -> Sequence[Frame]:
         del now

@@ -152,6 +152,8 @@ class Object(IntEnum):
     """Per thousand of 0x6076, as the one above."""
     SUPPORTED_HOMING_METHODS = 0x60E3
     """Sub 1 and on: one method each."""
+    COMMUTATION_ANGLE = 0x60EA
+    """65536 of an electrical turn."""
     POSITIONING_OPTION_CODE = 0x60F2
     FOLLOWING_ERROR_ACTUAL_VALUE = 0x60F4
     POSITION_DEMAND_INTERNAL_VALUE = 0x60FC

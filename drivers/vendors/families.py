@@ -3,9 +3,9 @@
 One TOML file a family: ``vendor`` (1018h:1), optionally ``products`` (1018h:2) and ``device_name`` (how 1008h
 begins). ``[codes]`` has the maker's texts for error codes or ranges of them, ``[numbers]`` what it puts into
 the upper octet of 1003h, both from the file's ``source``. An ``[[entry]]`` tells where an object means
-something else than CiA 402 says, with a ``source`` of its own; what the user says goes first. ``[motor]``
-and ``[stamp]``: see :mod:`servobench.drivers.vendors.motor_objects` and
-:mod:`servobench.drivers.vendors.stamps`.
+something else than CiA 402 says, with a ``source`` of its own; what the user says goes first. ``[motor]``,
+``[commutation]`` and ``[stamp]``: see :mod:`servobench.drivers.vendors.motor_objects`,
+:mod:`servobench.drivers.vendors.commutation_objects` and :mod:`servobench.drivers.vendors.stamps`.
 """
 
 import tomllib
@@ -16,6 +16,7 @@ from importlib.resources import files
 from typing import Any
 
 from servobench.drivers.errors import BadInput
+from servobench.drivers.vendors.commutation_objects import CommutationObjects, read_commutation
 from servobench.drivers.vendors.motor_objects import (
     MotorObjects,
     one_line,
@@ -24,7 +25,8 @@ from servobench.drivers.vendors.motor_objects import (
 )
 from servobench.drivers.vendors.stamps import STANDARD_STAMP, StampProfile, read_stamp
 
-_KEYS = {"vendor", "products", "device_name", "source", "codes", "numbers", "entry", "motor", "stamp"}
+_FACTS = {"source", "codes", "numbers", "entry", "motor", "commutation", "stamp"}
+_KEYS = {"vendor", "products", "device_name", *_FACTS}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,6 +66,8 @@ class DriveFamily:
     quirks: tuple[Quirk, ...] = ()
     motor: MotorObjects | None = None
     """Where its drives keep their motor data; None: no source says."""
+    commutation: CommutationObjects | None = None
+    """Where its drives keep how encoder and rotor are joined; None: no source says."""
     stamp: StampProfile | None = None
     """How its drives stamp; None: no source reports a difference from CiA 301."""
 
@@ -112,6 +116,7 @@ def read_family(text: str, name: str) -> DriveFamily:
         numbers={int(key): str(value) for key, value in tables.get("numbers", {}).items()},
         quirks=tuple(_quirk(entry, name, number) for number, entry in enumerate(tables.get("entry", ()))),
         motor=read_motor_objects(tables["motor"], name) if "motor" in tables else None,
+        commutation=read_commutation(tables["commutation"], name) if "commutation" in tables else None,
         stamp=read_stamp(tables["stamp"], name) if "stamp" in tables else None,
     )
 
@@ -160,6 +165,16 @@ def motor_objects_for(vendor: int, product: int, device_name: str) -> tuple[tupl
         for family in known_families()
         if family.motor is not None and family.fits(vendor, product, device_name)
     )
+
+
+def commutation_for(vendor: int, product: int, device_name: str) -> CommutationObjects | None:
+    """Return the objects of the first family that a drive may belong to; None if none is known."""
+    fitting = (
+        family.commutation
+        for family in known_families()
+        if family.commutation is not None and family.fits(vendor, product, device_name)
+    )
+    return next(fitting, None)
 
 
 def stamp_for(vendor: int, product: int, device_name: str) -> StampProfile:

@@ -180,8 +180,10 @@ def _finish(session: Session, result: Commissioned) -> None:
     left.changed = len({change.object for change in journal.contents.changes if change.new != change.old})
     left.enabled = session.configured
     left.host_watched = session.configured and not session.unwatched
+    keeps = session.request.store and result.error is None
+    ways = [_rest] if keeps and not session.request.brief else [_rest, _put_back]
     try:
-        for leave in (_rest, _store if session.request.store and result.error is None else _put_back):
+        for leave in (*ways, _store) if keeps else ways:
             try:
                 with writing("--out", session.request.out):
                     leave(session, left)
@@ -253,9 +255,11 @@ def _put_back(session: Session, left: DriveLeft) -> None:
     network, journal = session.network, session.network.journal
     assert journal is not None
     network.putting_back = True
-    left.restoration = restore(network, journal.contents)
+    changes = [each for each in journal.contents.changes if each.object not in session.kept]
+    left.restoration = restore(network, replace(journal.contents, changes=changes))
     left.at_rest = left.disabled = True
-    if left.restoration.complete:
+    left.kept = tuple(sorted(map(str, session.kept)))
+    if left.restoration.complete and not left.kept:
         journal.note_restored()
 
 

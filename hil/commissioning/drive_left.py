@@ -30,6 +30,8 @@ class DriveLeft:
     """Objects written with another value than they held."""
     restoration: Restoration | None = None
     """None: nothing was restored."""
+    kept: tuple[str, ...] = ()
+    """Objects that hold what was found, beside those that were restored."""
     stored: bool = False
     not_stored: str = ""
     """Why the drive did not store, if requested."""
@@ -41,11 +43,13 @@ class DriveLeft:
 
     @property
     def settings(self) -> str:
-        """One word for programs: unchanged, restored, stored or changed."""
+        """One word for programs: unchanged, restored, kept, stored or changed."""
         if self.stored:
             return "stored"
         if not self.as_found or self.not_stored:
             return "changed"
+        if self.kept:
+            return "kept"
         return "unchanged" if self.restoration is None else "restored"
 
     def sentences(self, request: CommissionRequest) -> list[str]:
@@ -54,7 +58,7 @@ class DriveLeft:
 
     def as_json(self, request: CommissionRequest) -> dict[str, Any]:
         """Return the same for programs; ``mend`` is the command that undoes the changes, or None."""
-        changed = self.settings == "changed"
+        changed = self.settings in ("changed", "kept")
         return {
             "at_rest": self.at_rest,
             "disabled": self.disabled,
@@ -94,6 +98,11 @@ class DriveLeft:
                 return "Nothing was changed."
             objects = f"{self.changed} object{'' if self.changed == 1 else 's'}"
             return f"{objects} may hold other values than before: `{request.restore_command}` puts them back."
+        if self.restoration.complete and self.kept:
+            return (
+                f"What was found stays in {', '.join(self.kept)} until the drive is switched off, all else "
+                f"holds what it held before; `{request.restore_command}` puts that back too."
+            )
         if self.restoration.complete:
             return (
                 f"All {self.restoration.objects} objects that were changed hold again, byte for byte, what "

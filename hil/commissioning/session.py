@@ -39,7 +39,7 @@ from servobench.hil.execution.world import World
 from servobench.hil.loop.loop import LoopTiming
 from servobench.hil.loop.scenario import Quantity
 from servobench.hil.machine.stopping import Interrupted
-from servobench.hil.restoring.journal import JournaledNetwork
+from servobench.hil.restoring.journal import JournaledNetwork, ObjectKey
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -105,6 +105,8 @@ class Session:
         self.energy = EnergyMeter()
         self.disturbed = False
         """True if the last attempt at a step failed: the drive's state is unknown."""
+        self.kept: set[ObjectKey] = set()
+        """Objects that hold at the end what a step has found."""
         self.gaps = HostGaps(network, request.heartbeat_timeout_ms)
         self._port: DrivePort | None = None
 

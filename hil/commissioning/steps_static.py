@@ -59,7 +59,13 @@ _RECORDS: Final = (
     0x60C2,
     0x60E3,
 )
-_PROFILE: Final = (*(int(entry) for entry in Object), 0x6403, 0x6404)
+_PROFILE: Final = (
+    *(
+        int(entry) for entry in Object if entry is not Object.COMMUTATION_ANGLE
+    ),  # no setting, and seldom there
+    0x6403,
+    0x6404,
+)
 _WRITE_ONLY: Final = "wo"
 
 

@@ -1,8 +1,8 @@
 """Motor files: the parameters of a PMSM in TOML, turned into
 :class:`servobench.design.motor.PmsmParameters`, and the mechanism between rotor and load: ``[coupling]``,
-``[friction]``, ``[[cogging]]``, ``[cogging_by_angle]``, ``[load]`` and ``[switches]``; ``[saturation]`` and
-``[temperature]`` are in :mod:`servobench.hil.configuration.motor_tables`, and ``[twin]``, in
-:mod:`servobench.hil.configuration.twin_table`, says what all of it rests on.
+``[friction]``, ``[[cogging]]``, ``[cogging_by_angle]``, ``[load]`` and ``[switches]``; ``[saturation]``,
+``[temperature]`` and ``[commutation]`` are in :mod:`servobench.hil.configuration.motor_tables`, and
+``[twin]``, in :mod:`servobench.hil.configuration.twin_table`, says what all of it rests on.
 """
 
 import math
@@ -19,6 +19,7 @@ from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.vendors.motor_objects import POLE_PAIRS_MAX
 from servobench.hil.configuration.config_files import Section
 from servobench.hil.configuration.motor_tables import (
+    CommutationTable,
     LoadTables,
     SaturationTable,
     SwitchesTable,
@@ -244,6 +245,7 @@ class MotorFile(FromPreset):
     switches: SwitchesTable | None = Field(default=None, description="the table [switches]")
     saturation: SaturationTable | None = Field(default=None, description="the table [saturation]")
     temperature: TemperatureTable | None = Field(default=None, description="the table [temperature]")
+    commutation: CommutationTable | None = Field(default=None, description="the table [commutation]")
     twin: TwinTable | None = Field(default=None, description="the table [twin]")
 
     @field_validator("saturation")
@@ -337,6 +339,7 @@ class MotorFile(FromPreset):
             mechanism=self._mechanism(),
             iron=None if self.saturation is None else self.saturation.iron(ideal),
             heat=None if self.temperature is None else self.temperature.heat,
+            commutation=None if self.commutation is None else self.commutation.commutation,
         )
 
 

@@ -1,4 +1,4 @@
-"""Tables of a motor file: ``[load]`` and ``[switches]``, ``[saturation]`` and ``[temperature]``.
+"""Tables of a motor file: ``[load]``, ``[switches]``, ``[saturation]``, ``[temperature]``, ``[commutation]``.
 
 Of the load: torque by place and speed, and end stops.
 """
@@ -12,13 +12,31 @@ from pydantic import Field, model_validator
 from servobench.design.data_sheet import at_temperature
 from servobench.design.iron import Iron, iron_of
 from servobench.design.mechanism import Arm, EndStops, LoadMap, PlacedLoad, Switches
-from servobench.design.motor import Heat, PmsmParameters
+from servobench.design.motor import Commutation, Heat, PmsmParameters
 from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.vendors.motor_objects import POLE_PAIRS_MAX
 from servobench.hil.configuration.config_files import Section
 from servobench.hil.configuration.quantities import Angle, Current, SignedSpeed, SignedTorque, Stiffness
 
 _POINTS_MAX = 1000
 _Row = Annotated[tuple[SignedTorque, ...], Field(strict=False, min_length=1, max_length=_POINTS_MAX)]
+
+
+class CommutationTable(Section):
+    """``[commutation]``: how encoder and lines are joined; a simulated drive that has it has to be told."""
+
+    offset_deg: float = Field(
+        default=0.0, ge=-360.0, le=360.0, description="to be added to the encoder's electrical angle, degrees"
+    )
+    lines_swapped: bool = False
+    """Two of the motor's lines are swapped."""
+    pole_pairs_set: int | None = Field(
+        default=None, gt=0, le=POLE_PAIRS_MAX, description="what the drive is delivered with; absent: right"
+    )
+
+    @property
+    def commutation(self) -> Commutation:
+        return Commutation(math.radians(self.offset_deg), self.lines_swapped, self.pole_pairs_set)
 
 
 class ArmTable(Section):

@@ -21,13 +21,13 @@ from servobench.drivers.canopen.bus_scan import NODES
 from servobench.drivers.canopen.network import CanopenNetwork
 from servobench.drivers.canopen.objects301 import Cia301, object_name
 from servobench.drivers.canopen.posted import PostedDownload
-from servobench.drivers.canopen.write_list import WriteList
+from servobench.drivers.canopen.write_list import Product, WriteList
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.errors import MISSING, BadInput, TransferAborted
 from servobench.drivers.timebase import Clock
 from servobench.drivers.wire.link import BusLink
 from servobench.drivers.written_file import sync_folder, write_synced
-from servobench.hil.write_lists import RESTORE
+from servobench.hil.write_lists import RESTORE, makers_commutation
 
 _BIT_RATES: Final = range(10_000, 1 << 32)
 VERSION = 1
@@ -191,7 +191,7 @@ def read_journal(path: Path) -> JournalContents:
         if "restored" in record:
             contents.restored = True
             continue
-        contents.changes.append(_change(path, number, record, bool(contents.head.loads)))
+        contents.changes.append(_change(path, number, record, contents.head))
         contents.restored = False
     return contents
 
@@ -220,14 +220,16 @@ def _head(path: Path, record: dict[str, Any]) -> JournalHead:
     return head
 
 
-def _change(path: Path, number: int, record: dict[str, Any], of_any_object: bool) -> ObjectWrite:
+def _change(path: Path, number: int, record: dict[str, Any], head: JournalHead) -> ObjectWrite:
     try:
         index, sub = bytes.fromhex(record["object"][:4]), bytes.fromhex(record["object"][5:7])
         key = ObjectKey(int.from_bytes(index), int.from_bytes(sub))
         write = ObjectWrite(key, bytes.fromhex(record["old"]), bytes.fromhex(record["new"]))
     except (KeyError, TypeError, ValueError) as error:
         raise BadInput(str(path), f"line {number}", record, "object, old and new", str(error)) from None
-    if not of_any_object and (key.index, key.sub) not in RESTORE:
+    makers = makers_commutation(Product(head.mark.vendor, head.mark.product, ""))
+    listed = (key.index, key.sub) in RESTORE or any(each.covers(key.index, key.sub) for each in makers)
+    if not head.loads and not listed:
         expected = "an object that hil commission or hil measure writes (hil docs writes)"
         raise BadInput(str(path), f"line {number}", object_name(key.index, key.sub), expected)
     return write
@@ -292,6 +294,8 @@ class JournaledNetwork(CanopenNetwork):
             return
         if journal.contents.head.loads and ObjectKey(index, sub) in journal.contents.originals():
             return  # noted with all others before the first write
+        if index == Object.COMMUTATION_ANGLE and ObjectKey(index, sub) in journal.contents.originals():
+            return  # it changes every few milliseconds: what it held at first is enough
         try:
             old = self.upload(node_id, index, sub)
         except TransferAborted:

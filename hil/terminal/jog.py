@@ -135,9 +135,15 @@ def homing(shared: MotionOptions, how: HomingOptions) -> None:
 
 
 def move(
-    shared: MotionOptions, purpose: str, limits: "PlateLimits", steps: "Callable[[], Sequence[Step]]"
+    shared: MotionOptions,
+    purpose: str,
+    limits: "PlateLimits",
+    steps: "Callable[[], Sequence[Step]]",
+    *,
+    store: bool = False,
 ) -> NoReturn:
-    """Run the steps, and leave with their status. Raises BadInput or BadInputs."""
+    """Run the steps, and leave with their status; ``store``: what they keep is stored in the drive. Raises
+    BadInput or BadInputs."""
     from servobench.drivers.wire.adapters import shared_bus
     from servobench.hil.commissioning.request import CommissionRequest, Nameplate, load_nameplate
     from servobench.hil.write_lists import writes_of
@@ -151,6 +157,7 @@ def move(
         nameplate=plate.model_copy(update={"limits": limits}),
         bitrate_bit_s=shared.bitrate,
         dry_run=shared.dry_run,
+        store=store,
         heartbeat_timeout_ms=shared.heartbeat_timeout_ms,
         unwatched=shared.unwatched,
         allow=allowed(shared.allow),

@@ -30,10 +30,15 @@ static void turn_motor(InnerLoops *self, double load_nm)
     MotorState *shaft = &self->shaft;
     double brake_nm = self->loop.brake_drag_nm + self->state.brake_holds * self->loop.brake_nm;
     if (out->on != 0.0) {
-        SineCosine turn = sine_cosine(out->angle_rad - p->pole_pairs * shaft->angle_rad);
+        double told_rad = out->angle_rad, told_q_v = out->voltage_q_v;
+        if (self->commutation.mirrored) {
+            told_rad = -told_rad;
+            told_q_v = -told_q_v;
+        }
+        SineCosine turn = sine_cosine(told_rad - p->pole_pairs * shaft->angle_rad);
         Voltage voltage = {
-            .d = turn.cosine * out->voltage_d_v - turn.sine * out->voltage_q_v,
-            .q = turn.sine * out->voltage_d_v + turn.cosine * out->voltage_q_v,
+            .d = turn.cosine * out->voltage_d_v - turn.sine * told_q_v,
+            .q = turn.sine * out->voltage_d_v + turn.cosine * told_q_v,
             .live = 1.0,
             .turning = 1.0,
         };
@@ -127,6 +132,23 @@ static double believed_torque(const InnerLoops *self, double i_d, double i_q)
     return self->motor.torque_factor * self->motor.pole_pairs * flux * i_q;
 }
 
+/* The electrical angle, rad, by which the drive commutates, of the encoder's within its turn. */
+static double commutated(const Commutation *p, double encoder_rad, double pole_pairs)
+{
+    if (!p->active)
+        return encoder_rad * pole_pairs;
+    return p->forced ? p->forced_rad : encoder_rad * p->pole_pairs + p->ahead_rad;
+}
+
+/* Electrical angle by mechanical one, as the drive reckons: none where the angle is not its own. */
+static double electrical_ratio(const InnerLoops *self)
+{
+    const Commutation *p = &self->commutation;
+    if (!p->active)
+        return self->motor.pole_pairs;
+    return p->forced ? 0.0 : p->pole_pairs;
+}
+
 /* What the firmware sees at the start of a period: encoder count, filtered speed, dq currents in the frame of
    the encoder's angle, torque. Returns that electrical angle, rad. A rotor whose load has the encoder has one of
    its own, by which the currents turn. */
@@ -147,19 +169,22 @@ static double sample(InnerLoops *self)
         state->count = count;
     }
     state->speed_measured_rad_s += p->speed_filter * (raw_speed - state->speed_measured_rad_s);
-    double angle = (within_turn + 0.5) * resolution->rad_per_count * self->motor.pole_pairs;
+    double encoder_rad = (within_turn + 0.5) * resolution->rad_per_count;
+    double angle = commutated(&self->commutation, encoder_rad, self->motor.pole_pairs);
     Pair current = {shaft->current_d_a, shaft->current_q_a};
     double electrical = self->motor.pole_pairs * shaft->angle_rad;
-    SineCosine turn;
     if (self->sensors.active) {
         self->rotor_rad = electrical;
         self->rotor = sine_cosine(electrical);
         current = sensed_current(&self->sensors, &self->sensor_state, current, self->rotor, self->phase_amplitude,
                                  self->ticks);
-        turn = sine_cosine(-angle);
-    } else {
-        turn = sine_cosine(electrical - angle);
+        electrical = 0.0; /* in the stator's frame */
     }
+    if (self->commutation.mirrored) {
+        current[1] = -current[1];
+        electrical = -electrical;
+    }
+    SineCosine turn = sine_cosine(electrical - angle);
     state->current_d_measured_a = turn.cosine * current[0] - turn.sine * current[1];
     state->current_q_measured_a = turn.sine * current[0] + turn.cosine * current[1];
     state->torque_measured_nm =
@@ -269,7 +294,7 @@ static Pair wanted_currents(InnerLoops *self, double torque_nm)
     LoopState *state = &self->state;
     if (!self->field.active)
         return (Pair){0.0, torque_nm * self->motor.per_torque_constant};
-    double electrical = self->motor.pole_pairs * state->speed_measured_rad_s;
+    double electrical = electrical_ratio(self) * state->speed_measured_rad_s;
     return field_currents(&self->field, &self->believed, torque_nm, current_limit(self), state->weaker_a,
                           voltage_circle(self), electrical);
 }
@@ -293,7 +318,7 @@ static void current_loops(InnerLoops *self, Pair wanted)
     const LoopParameters *p = &self->loop;
     LoopState *state = &self->state;
     double i_d = state->current_d_measured_a, i_q = state->current_q_measured_a;
-    double electrical = self->motor.pole_pairs * state->speed_measured_rad_s;
+    double electrical = electrical_ratio(self) * state->speed_measured_rad_s;
     double error_d = wanted[0] - i_d, error_q = wanted[1] - i_q;
     double v_d = axis_voltage(&p->controller_d, state->controller_d, error_d, p->gain_d, state->integral_d);
     double v_q = axis_voltage(&p->controller_q, state->controller_q, error_q, p->gain_q, state->integral_q);
@@ -381,7 +406,7 @@ static void run_firmware(InnerLoops *self)
         current_loops(self, wanted_currents(self, torque));
         state->next.on = 1.0;
         state->next.angle_rad =
-            angle + 1.5 * self->motor.period_s * self->motor.pole_pairs * state->speed_measured_rad_s;
+            angle + 1.5 * self->motor.period_s * electrical_ratio(self) * state->speed_measured_rad_s;
     }
     state->control = demand->control;
     if (self->loop.brake_order != BRAKE_BY_STAGE)

@@ -52,6 +52,16 @@ typedef struct Output {
     double on, voltage_d_v, voltage_q_v, angle_rad;
 } Output;
 
+/* By which angle the drive turns its currents, where that need not be the rotor's. */
+typedef struct Commutation {
+    int active;   /* 0: by the encoder's angle, which is right, and nothing of this counts */
+    int mirrored; /* two lines of the motor are swapped, and the drive takes them for right, or the other way round */
+    int forced;   /* its master says the angle, which is forced_rad */
+    double pole_pairs; /* as the drive is set */
+    double ahead_rad;  /* of the encoder's angle beyond the rotor's */
+    double forced_rad;
+} Commutation;
+
 typedef struct LoopState {
     Output now, next;
     double integral_d, integral_q;
@@ -93,6 +103,7 @@ typedef struct InnerLoops {
     FieldControl field;
     Resolution resolution; /* of the encoder */
     Encoder encoder;
+    Commutation commutation;
     EncoderState sensed;
     MotorState shaft;
     Mechanism mechanism;

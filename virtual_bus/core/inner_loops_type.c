@@ -195,6 +195,7 @@ static PyObject *call_ramp_to_speed(PyObject *self, PyObject *const *arguments, 
     loops->demand.acceleration_rad_s2 = values[1];
     loops->demand.torque_feed_nm = values[2];
     loops->demand.control = CONTROL_SPEED;
+    loops->commutation.forced = 0; /* a loop needs the rotor's own angle */
     loops->asked = 1;
     return nothing();
 }
@@ -556,6 +557,12 @@ static PyMemberDef members[] = {
     PARAMETER(watched, stage_c),
     PARAMETER(watched, derated),
     {"trip", T_INT, PLACE(watched.trip), 0, NULL},
+    {"commutation_active", T_INT, PLACE(commutation.active), 0, NULL},
+    {"lines_mirrored", T_INT, PLACE(commutation.mirrored), 0, NULL},
+    {"angle_forced", T_INT, PLACE(commutation.forced), 0, NULL},
+    NUMBER("commutation_pole_pairs", commutation.pole_pairs),
+    NUMBER("commutation_ahead_rad", commutation.ahead_rad),
+    NUMBER("forced_rad", commutation.forced_rad),
     PARAMETER(resolution, counts),
     PARAMETER(resolution, counts_per_rad),
     PARAMETER(resolution, rad_per_count),

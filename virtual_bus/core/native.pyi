@@ -239,6 +239,17 @@ class InnerLoops:
     """Largest current from there on, A for each kelvin below ``stage_max_c``."""
 
     # ---- loops: parameters ----
+    commutation_active: int
+    """0: the drive turns its currents by the encoder's angle, and that is right."""
+    lines_mirrored: int
+    """1: the drive takes two swapped lines of the motor for right, or the other way round."""
+    angle_forced: int
+    """1: the electrical angle is ``forced_rad``."""
+    commutation_pole_pairs: float
+    """As the drive is set."""
+    commutation_ahead_rad: float
+    """Of the encoder's electrical angle beyond the rotor's."""
+    forced_rad: float
     counts: float
     """Counts of the encoder per turn."""
     counts_per_rad: float

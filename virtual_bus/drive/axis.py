@@ -141,6 +141,7 @@ class SimulatedAxis:
         self._barred_way = 0.0
         self.demand = None
         self._inner.torque_step_nm = 0.0
+        self._inner.angle_forced = 0
         self._following.restart()
 
     def follow(self, count: float, counts_per_s: float) -> None:
@@ -172,12 +173,16 @@ class SimulatedAxis:
 
     def make_torque(self, torque_nm: float) -> None:
         """A torque."""
-        self.barred = self.guarded and self._bars(torque_nm, free=True)
+        self.barred = self.bars_torque(torque_nm)
         if self.barred:
             self._stop_at_bar()
             return
         self.firmware.demand_torque(torque_nm)
         self.firmware.control(InnerControl.TORQUE)
+
+    def bars_torque(self, torque_nm: float) -> bool:
+        """Return True if the axis is blocked in the direction of a torque."""
+        return self.guarded and self._bars(torque_nm, free=True)
 
     def rests(self) -> bool:
         """Return True if the shaft has come to rest at the end of a ramp."""

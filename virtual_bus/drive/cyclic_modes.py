@@ -5,6 +5,7 @@ In all of them the master plans, and the drive follows.
 CSP   607Ah + 60B0h, interpolated over 60C2h; 60B2h is fed forward, and 60B1h, or while that is 0 the
       slope of the interpolation
 CSV   60FFh + 60B1h, reached within 60C2h, no faster than 60C5h and 60C6h; 60B2h is fed forward
+CSTCA the same, at the electrical angle of 60EAh
 CST   6071h + 60B2h, at once, or by 6087h in a drive whose maker has it so
 IP    60C1h:1, interpolated over 60C2h (60C0h = 0), while bit 4 of the controlword is 1
 
@@ -60,6 +61,21 @@ class CyclicSynchronousTorque(_CyclicMode):
 
     def run(self) -> None:
         self.axis.make_torque((self._target.value + self._offset.value) * self.axis.torque_unit_nm)
+
+
+class CyclicSynchronousTorqueWithAngle(CyclicSynchronousTorque):
+    """CST at the electrical angle that the master says. At an end of the axis there is no torque: the drive
+    may not know how to stop this motor by its own angle."""
+
+    def begin(self, controlword: int) -> None:
+        super().begin(controlword)
+        self._firmware.inner.angle_forced = 1
+
+    def run(self) -> None:
+        axis = self.axis
+        torque_nm = (self._target.value + self._offset.value) * axis.torque_unit_nm
+        axis.barred = axis.bars_torque(torque_nm)
+        self._firmware.demand_torque(0.0 if axis.barred else torque_nm)
 
 
 class CyclicSynchronousVelocity(_CyclicMode):

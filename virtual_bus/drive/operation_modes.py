@@ -2,11 +2,13 @@
 
 from collections.abc import Callable
 
+from servobench.design.motor import PmsmParameters
 from servobench.drivers.cia402.profile import Mode
 from servobench.virtual_bus.drive.axis import SimulatedAxis
 from servobench.virtual_bus.drive.cyclic_modes import (
     CyclicSynchronousPosition,
     CyclicSynchronousTorque,
+    CyclicSynchronousTorqueWithAngle,
     CyclicSynchronousVelocity,
     InterpolatedPosition,
 )
@@ -29,5 +31,13 @@ MODES: dict[Mode, Callable[[SimulatedAxis], OperationMode]] = {
     Mode.CYCLIC_SYNCHRONOUS_POSITION: CyclicSynchronousPosition,
     Mode.CYCLIC_SYNCHRONOUS_VELOCITY: CyclicSynchronousVelocity,
     Mode.CYCLIC_SYNCHRONOUS_TORQUE: CyclicSynchronousTorque,
+    Mode.CYCLIC_SYNCHRONOUS_TORQUE_WITH_ANGLE: CyclicSynchronousTorqueWithAngle,
 }
-"""Every mode that the drive has; 6502h and the range of 6060h follow from it."""
+"""Every mode of a simulated drive."""
+
+
+def modes_for(motor: PmsmParameters) -> frozenset[Mode]:
+    """Return the modes that a drive of ``motor`` has; 6502h and the range of 6060h follow from it. That with
+    an angle is there where the motor's commutation has to be told."""
+    with_angle = Mode.CYCLIC_SYNCHRONOUS_TORQUE_WITH_ANGLE
+    return frozenset(MODES) - (set() if motor.commutation is not None else {with_angle})

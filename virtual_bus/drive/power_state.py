@@ -25,16 +25,22 @@ from typing import Final
 
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import (
+    STATUS_PATTERNS,
     TRANSITION_OF,
     Control,
     DriveCommand,
     DriveEvent,
     QuickStopOption,
     State,
+    Status,
     Transition,
     commands_in,
 )
 
+BASE_STATUS: dict[State, int] = {
+    state: STATUS_PATTERNS[state].value | Status.VOLTAGE_ENABLED | Status.REMOTE for state in State
+}
+"""The statusword of a state, but for the bits of the mode."""
 _FAULT_RESET: Final = int(Control.FAULT_RESET)
 
 

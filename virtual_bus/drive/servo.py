@@ -14,7 +14,6 @@ from servobench.drivers.canopen.error_codes import ErrorRegister
 from servobench.drivers.canopen.nmt_states import NmtState
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import (
-    STATUS_PATTERNS,
     AbortConnectionOption,
     DriveCommand,
     DriveEvent,
@@ -32,6 +31,7 @@ from servobench.virtual_bus.device.station import Application, CommunicationLoss
 from servobench.virtual_bus.drive import actual_values
 from servobench.virtual_bus.drive.actual_values import INTERNAL_LIMIT_ACTIVE, ActualValues, SimulatedLoad
 from servobench.virtual_bus.drive.axis import REST_S, SimulatedAxis
+from servobench.virtual_bus.drive.commutation import told_commutation
 from servobench.virtual_bus.drive.deaf_mode import DeafMode, set_points
 from servobench.virtual_bus.drive.failures import COMMUNICATION_ERROR, LOSS_CODES, Failures
 from servobench.virtual_bus.drive.firmware import Firmware, InnerControl
@@ -39,9 +39,9 @@ from servobench.virtual_bus.drive.holding_brake import HoldingBrake
 from servobench.virtual_bus.drive.lacks import take_away
 from servobench.virtual_bus.drive.machine import SimulatedMachine
 from servobench.virtual_bus.drive.operation_mode import OperationMode
-from servobench.virtual_bus.drive.operation_modes import MODES
+from servobench.virtual_bus.drive.operation_modes import MODES, modes_for
 from servobench.virtual_bus.drive.power_stage import TRIP_CODES, Trip
-from servobench.virtual_bus.drive.power_state import MotorAction, PowerStateMachine
+from servobench.virtual_bus.drive.power_state import BASE_STATUS, MotorAction, PowerStateMachine
 from servobench.virtual_bus.drive.servo_objects import MotionObjects, ServoObjects
 from servobench.virtual_bus.drive.servo_parameters import (
     SENSOR_NOISE,
@@ -56,10 +56,6 @@ _WAKE_WHILE_STOPPING_NS: Final = NS_PER_MS
 """The period of profiles and position loop (drive.firmware); rest is seen within it."""
 _WAKE_NS: Final = 20 * NS_PER_MS
 """Without frames the motor is still carried along, so that none finds a long way to go."""
-
-_BASE_STATUS: dict[State, int] = {
-    state: STATUS_PATTERNS[state].value | Status.VOLTAGE_ENABLED | Status.REMOTE for state in State
-}
 
 
 class ServoApplication(Application):
@@ -81,7 +77,8 @@ class ServoApplication(Application):
     def attach(self, services: DeviceServices) -> None:
         self._services = services
         dictionary, inner = services.dictionary, self.firmware.inner
-        self.objects = objects = ServoObjects(dictionary, self.motor, self.drive, frozenset(MODES))
+        machine = self.firmware.machine
+        self.objects = objects = ServoObjects(dictionary, self.motor, self.drive, modes_for(machine))
         motion = MotionObjects(dictionary, self.motor, self.drive)
         self.power = PowerStateMachine(objects.option, self.drive.brake_waits, self._slow)
         self.brake = HoldingBrake(dictionary, inner, self.drive)
@@ -89,6 +86,7 @@ class ServoApplication(Application):
         counts = self.drive.encoder_counts_per_revolution
         makers = self.drive.makers_units
         self.units = UserUnits(dictionary, counts, lambda: self._motion is MotorAction.OFF, makers)
+        self._take_commutation = told_commutation(dictionary, inner, machine, self.units.check_state)
         self.machine = SimulatedMachine(dictionary, counts, inner, self.motor.mechanism, self.units)
         self.axis = SimulatedAxis(self.firmware, objects, motion, self.units, self.machine, self.fail)
         self._modes: dict[int, OperationMode] = {int(mode): make(self.axis) for mode, make in MODES.items()}
@@ -141,6 +139,7 @@ class ServoApplication(Application):
             self._mode = self._modes[mode]
             self.objects.mode_display.value = mode
         self.axis.take_guards()
+        self._take_commutation()
         self._controlword = 0
         self.units.origin = 0.0
         self.units.take()
@@ -179,7 +178,7 @@ class ServoApplication(Application):
     def _show_mode(self) -> None:
         """Let the statusword follow the mode."""
         if self._motion is MotorAction.FOLLOW:
-            status = _BASE_STATUS[self.power.state] | self._mode.status_bits()
+            status = BASE_STATUS[self.power.state] | self._mode.status_bits()
             self._cycle.base_status = status | INTERNAL_LIMIT_ACTIVE if self.axis.limited else status
 
     def _react(self) -> None:
@@ -208,7 +207,7 @@ class ServoApplication(Application):
         if power.motion is not self._motion:
             self._motion = power.motion
             self._move(power.motion)
-        status = _BASE_STATUS[power.state]
+        status = BASE_STATUS[power.state]
         self._choose_task()
         if power.motion is MotorAction.FOLLOW:
             status |= self._mode.status_bits()

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from servobench.design.mechanism import EndStops, Mechanism, PlacedLoad
+from servobench.design.motor import Commutation
 from servobench.drivers.canopen.objects301 import DataType
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode
@@ -14,19 +15,23 @@ from tests.unit.virtual_bus.servo_bench import ServoBench
 
 PAGE = (Path(__file__).parents[3] / "docs" / "simulated-drive.md").read_text(encoding="utf-8")
 MACHINE_ROW = re.compile(r"^\| (2\d{3}h:.*?) \| (\w+) \|", re.MULTILINE)
+ALL_OF_IT = replace(
+    LING,
+    mechanism=Mechanism(load=PlacedLoad(stops=EndStops(-1.0, 1.0, 100.0, 0.1))),
+    commutation=Commutation(),
+)
+"""A machine that every object is there for."""
 
 
 def test_every_object_of_the_page_is_in_the_dictionary() -> None:
-    dictionary = ServoBench().servo.dictionary
+    dictionary = ServoBench(motor=ALL_OF_IT).servo.dictionary
     named = {int(index, 16) for index in re.findall(r"\b(6[0-9A-F]{3})h", PAGE)}
     assert len(named) > 30
     assert [f"{index:04X}" for index in sorted(named) if index not in dictionary] == []
 
 
 def test_the_machines_objects_have_these_types_and_no_other_is_there() -> None:
-    """On a machine that has all of them."""
-    load = PlacedLoad(stops=EndStops(-1.0, 1.0, 100.0, 0.1))
-    dictionary = ServoBench(motor=replace(LING, mechanism=Mechanism(load=load))).servo.dictionary
+    dictionary = ServoBench(motor=ALL_OF_IT).servo.dictionary
     told = {
         (int(index, 16), int(sub)): DataType[kind]
         for names, kind in MACHINE_ROW.findall(PAGE)
@@ -34,7 +39,7 @@ def test_the_machines_objects_have_these_types_and_no_other_is_there() -> None:
     }
     there = {
         (index, sub): variable.data_type
-        for index in (0x2100, 0x2110)
+        for index in (0x2100, 0x2110, 0x2120)
         for sub, variable in dictionary.object(index).members.items()
         if sub
     }
