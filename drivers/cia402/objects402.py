@@ -10,6 +10,7 @@ To have the client write a further object, add a line here; docs/make_writes.py 
 
 from collections.abc import Iterable
 from enum import IntEnum
+from functools import cached_property
 from typing import Final
 
 from servobench.drivers.canopen.nmt_states import NODE_ID_MAX
@@ -164,7 +165,7 @@ class Object(IntEnum):
     MOTOR_TYPE = 0x6402
     SUPPORTED_DRIVE_MODES = 0x6502
 
-    @property
+    @cached_property
     def title(self) -> str:
         """Its name in words: ``Target torque``."""
         words = self.name.replace("_", " ").capitalize()

@@ -186,7 +186,7 @@ class ServoDrive(Drive):
         moving = (State.OPERATION_ENABLED, State.FAULT_REACTION)
         calm = calms(self.objects, self._assembler)
         state = self.control.await_state(
-            lambda now: now not in moving and calm(), deadline, "come to rest", faults=False
+            lambda now: now not in moving and calm(), deadline, "come to rest", False, REST_POLL
         )
         if state is not State.FAULT:
             self.control.walk(State.SWITCH_ON_DISABLED, deadline)

@@ -28,7 +28,7 @@ from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 NONE_SENT = -1
 """In place of a controlword, which is an UNSIGNED16."""
 FAULTY = (State.FAULT, State.FAULT_REACTION)
-POLL_NS = NS_PER_MS
+POLL_NS: Final = Duration(NS_PER_MS)
 """Interval between requests for a statusword by SDO: two frames of at most 135 bits, a quarter of 1
 Mbit/s."""
 _GIVEN: Final = frozenset(
@@ -195,9 +195,14 @@ class StateControl:
                 self.network.pump(Instant(now + POLL_NS))
 
     def await_state(
-        self, reached: Callable[[State | None], bool], deadline: Instant, action: str, faults: bool = True
+        self,
+        reached: Callable[[State | None], bool],
+        deadline: Instant,
+        action: str,
+        faults: bool = True,
+        every: Duration = POLL_NS,
     ) -> State | None:
-        """Poll the state until it is as wanted, and return it.
+        """Poll the state, with pauses of ``every``, until it is as wanted, and return it.
 
         Raises DriveInFault at the deadline and, with ``faults``, when a fault is met.
         """
@@ -207,7 +212,7 @@ class StateControl:
             now = self.network.clock.now()
             if now >= deadline:
                 raise self.stuck(action)
-            self.network.pump(Instant(now + POLL_NS))
+            self.network.pump(Instant(now + every))
         return state
 
     def evidence(self) -> str:

@@ -1,9 +1,9 @@
 /* Python's HostPlace (native.pyi). */
 #include <stddef.h>
 
-#include "frames.h"
 #include "host_place.h"
 #include "objects.h"
+#include "port_way.h"
 #include "types.h"
 
 PyTypeObject *place_type;
@@ -145,24 +145,9 @@ static bool transmit(PyObject *self, FrameObject *object)
 
 static const PortWay way = {receive, transmit};
 
-static PyObject *get_way(PyObject *self, void *none)
-{
-    (void)self, (void)none;
-    return PyCapsule_New((void *)&way, PORT_WAY, NULL);
-}
+static PyObject *call_receive(PyObject *self, PyObject *until) { return receive_by(&way, self, until); }
 
-static PyObject *call_receive(PyObject *self, PyObject *until)
-{
-    int64_t until_ns;
-    Arrived arrived;
-    int came = integer(until, &until_ns) ? receive(self, until_ns, &arrived) : -1;
-    return came < 0 ? NULL : came == 0 ? nothing() : received_tuple(&arrived);
-}
-
-static PyObject *call_transmit(PyObject *self, PyObject *frame)
-{
-    return is_a(frame, frame_type, "a WireFrame") && transmit(self, (FrameObject *)frame) ? nothing() : NULL;
-}
+static PyObject *call_transmit(PyObject *self, PyObject *frame) { return transmit_by(&way, self, frame); }
 
 static PyObject *call_on_frame(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
 {
@@ -202,7 +187,7 @@ static PyMethodDef methods[] = {
 };
 
 static PyGetSetDef attributes[] = {
-    {"way", get_way, NULL, NULL, NULL},
+    {"way", show_way, NULL, NULL, (void *)&way},
     {0},
 };
 

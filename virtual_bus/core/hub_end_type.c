@@ -9,6 +9,7 @@
 #include <time.h>
 
 #include "hub_record.h"
+#include "port_way.h"
 #include "types.h"
 
 enum { PACKETS = 4 }; /* read by one call; fewer say that no further one is there */
@@ -229,24 +230,9 @@ static bool transmit(PyObject *object, FrameObject *frame)
 
 static const PortWay way = {receive, transmit};
 
-static PyObject *get_way(PyObject *self, void *none)
-{
-    (void)self, (void)none;
-    return PyCapsule_New((void *)&way, PORT_WAY, NULL);
-}
+static PyObject *call_receive(PyObject *self, PyObject *until) { return receive_by(&way, self, until); }
 
-static PyObject *call_receive(PyObject *self, PyObject *until)
-{
-    int64_t until_ns;
-    Arrived arrived;
-    int came = integer(until, &until_ns) ? receive(self, until_ns, &arrived) : -1;
-    return came < 0 ? NULL : came == 0 ? nothing() : received_tuple(&arrived);
-}
-
-static PyObject *call_transmit(PyObject *self, PyObject *frame)
-{
-    return is_a(frame, frame_type, "a WireFrame") && transmit(self, (FrameObject *)frame) ? nothing() : NULL;
-}
+static PyObject *call_transmit(PyObject *self, PyObject *frame) { return transmit_by(&way, self, frame); }
 
 static PyObject *call_take_in(PyObject *self, PyObject *until)
 {
@@ -272,7 +258,7 @@ static PyMethodDef methods[] = {
 };
 
 static PyGetSetDef attributes[] = {
-    {"way", get_way, NULL, NULL, NULL},
+    {"way", show_way, NULL, NULL, (void *)&way},
     {0},
 };
 

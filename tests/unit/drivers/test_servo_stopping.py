@@ -147,6 +147,19 @@ def test_a_drive_that_holds_after_a_quick_stop_is_disabled(bench: Bench) -> None
     assert servo.values[0x606C, 0] == 0, "the voltage was taken off a shaft that turned"
 
 
+def test_a_shaft_that_takes_long_to_stop_leaves_the_bus_to_others(bench: Bench) -> None:
+    """A shaft of much inertia: state and speed are asked for a hundred times a second, by four frames."""
+    bus, servo, _, drive = bench
+    servo.values[0x605A, 0] = 6
+    servo.values[0x606C, 0] = FAST
+    servo.stop_ns = 900 * NS_PER_MS
+    began = bus.now()
+    drive.quick_stop(soon(bench))
+    assert 900 <= (bus.now() - began) / NS_PER_MS <= 930
+    assert servo.state is State.SWITCH_ON_DISABLED
+    assert 160 <= len(bus.sent_to(SDO)) <= 200
+
+
 def test_the_reaction_to_a_fault_is_waited_out_and_the_fault_left_alone(bench: Bench) -> None:
     bus, servo, _, drive = bench
     servo.state = State.FAULT_REACTION
