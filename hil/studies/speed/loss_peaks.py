@@ -71,13 +71,9 @@ def peak_of(
     ``delays``: None: those of the loop, of a static gain that applies samples as they arrive any up to the
     largest. Raises NoSolution.
     """
-    if isinstance(remembering, RandomHeld):
-        own = remembering.loop
-        loop = HeldLoop(own.model, own.K, replace(own.network, losses_max=readings_max))
-        arriving = _arriving(remembering)
-        if inertias == (1.0, 1.0) and not commands_max and delays == arriving:
-            return _of_static_gain(loop)
-        remembering, delays = RandomHeld(loop), delays or arriving
+    remembering, alone, delays = _losing(remembering, readings_max, commands_max, inertias, delays)
+    if alone is not None:
+        return _peak_of_static_gain(alone)
     if isinstance(remembering, RandomPredictor):
         made = remembering
         return predictor_peak(
@@ -94,13 +90,9 @@ def decay_of(
     delays: DelayRange | None = None,
 ) -> DecayPerSecond:
     """Return the slowest decay of the same set as :func:`peak_of`, 1/s. Raises NoSolution."""
-    if isinstance(remembering, RandomHeld):
-        own = remembering.loop
-        loop = HeldLoop(own.model, own.K, replace(own.network, losses_max=readings_max))
-        arriving = _arriving(remembering)
-        if inertias == (1.0, 1.0) and not commands_max and delays == arriving:
-            return _decay_of_static_gain(loop)
-        remembering, delays = RandomHeld(loop), delays or arriving
+    remembering, alone, delays = _losing(remembering, readings_max, commands_max, inertias, delays)
+    if alone is not None:
+        return _decay_of_static_gain(alone)
     if isinstance(remembering, RandomPredictor):
         made, losses = remembering, (readings_max, commands_max)
         return predictor_decay(made.loop, made.kalman, made.walks, losses, inertias, delays)
@@ -115,15 +107,9 @@ def gain_of(
     delays: DelayRange | None = None,
 ) -> GainBound:
     """Return the gain over the same set as :func:`peak_of`, rad/s per N m. Raises NoSolution."""
-    if isinstance(remembering, RandomHeld):
-        own = remembering.loop
-        loop = HeldLoop(own.model, own.K, replace(own.network, losses_max=readings_max))
-        if inertias == (1.0, 1.0) and not commands_max and delays == _arriving(remembering):
-            analysis = analyse_loop(loop)
-            if analysis.gain_certified is None:
-                raise NoSolution("certificate of the gain", analysis.without_certificate)
-            return GainBound(analysis.gain_certified, analysis.gain_found)
-        remembering = RandomHeld(loop)
+    remembering, alone, delays = _losing(remembering, readings_max, commands_max, inertias, delays)
+    if alone is not None:
+        return _gain_of_static_gain(alone)
     if isinstance(remembering, RandomPredictor):
         raise NoSolution(
             "certificate of the gain", "not made for a predictor here: that of its file is over lost readings"
@@ -131,6 +117,30 @@ def gain_of(
     if delays is not None:
         raise NoSolution("certificate of the gain", "not made over delays that vary")
     return losses_gain(remembering, readings_max, commands_max, inertias)
+
+
+def _losing(
+    remembering: Remembering,
+    readings_max: int,
+    commands_max: int,
+    inertias: tuple[float, float],
+    delays: DelayRange | None,
+) -> tuple[Remembering, HeldLoop | None, DelayRange | None]:
+    """Return the controller where so many readings are lost, and the delays; a static gain's loop beside it
+    where its own analysis covers all that is asked."""
+    if not isinstance(remembering, RandomHeld):
+        return remembering, None, delays
+    own, arriving = remembering.loop, _arriving(remembering)
+    loop = HeldLoop(own.model, own.K, replace(own.network, losses_max=readings_max))
+    alone = inertias == (1.0, 1.0) and not commands_max and delays == arriving
+    return RandomHeld(loop), loop if alone else None, delays or arriving
+
+
+def _gain_of_static_gain(loop: HeldLoop) -> GainBound:
+    analysis = analyse_loop(loop)
+    if analysis.gain_certified is None:
+        raise NoSolution("certificate of the gain", analysis.without_certificate)
+    return GainBound(analysis.gain_certified, analysis.gain_found)
 
 
 def _decay_of_static_gain(loop: HeldLoop) -> DecayPerSecond:
@@ -149,7 +159,7 @@ def _arriving(remembering: Remembering) -> DelayRange | None:
     return DelayRange(0.0, network.delay_max_s) if varying else None
 
 
-def _of_static_gain(loop: HeldLoop) -> PeakBound:
+def _peak_of_static_gain(loop: HeldLoop) -> PeakBound:
     analysis = with_peak(analyse_loop(loop))
     if analysis.peak_certified is None:
         raise NoSolution("certificate of the peak", analysis.without_certificate)
