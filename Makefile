@@ -166,7 +166,7 @@ unit: $(TOOLS) $(CORE)
 	@$(BIN)/pytest --quiet --numprocesses=2 --dist=loadgroup -m "not long" --durations=5 --durations-min=2 tests/unit/$(ROOM)
 
 draws: $(TOOLS) compile
-	@DRAWS=all $(BIN)/pytest --numprocesses=2 --dist=loadgroup $$(grep -rlE --include='test_*.py' '(few|examples)_of\(' tests)
+	@DRAWS=all $(BIN)/pytest --numprocesses=2 --dist=loadgroup $$(grep -rlE --include='test_*.py' '(few|examples)_(of|pairs)\(' tests)
 
 EDITS ?= 1000
 

@@ -26,17 +26,18 @@ def model_at(bandwidth_hz: float) -> SpeedModel:
 
 @pytest.mark.long
 def test_what_is_certified_holds_between_the_slices() -> None:
-    analysis = analyse_sampled(model_at(800.0), K, NETWORK)
+    network = SampledNetwork(Strategy.ARRIVAL, 0.001, 0, 0.0002)
+    analysis = analyse_sampled(model_at(800.0), K, network)
     assert analysis.gain_certified is not None
     assert analysis.decay_certified_per_s is not None
     nominal = BandwidthRange(800.0, 800.0, analysis.gain_certified, analysis.decay_certified_per_s)
     patterns = [analysis.worst.pattern, analysis.slowest]
-    found = bandwidth_range(model_at, K, NETWORK, patterns, nominal)
+    found = bandwidth_range(model_at, K, network, patterns, nominal)
     assert found.min_hz < 700.0
     assert found.max_hz > 900.0
     assert found.decay_per_s is not None
     for bandwidth_hz in np.linspace(found.min_hz, found.max_hz, 5):
-        loop = HeldLoop(model_at(float(bandwidth_hz)), K, NETWORK)
+        loop = HeldLoop(model_at(float(bandwidth_hz)), K, network)
         assert worst_gain(loop, regular_patterns(loop)).gain <= found.gain
         assert pattern_of(loop, analysis.slowest.steps).decay_per_s >= found.decay_per_s
 

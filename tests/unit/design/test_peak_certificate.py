@@ -28,15 +28,6 @@ def test_a_loop_that_never_switches_is_certified_by_what_one_simulation_shows() 
 
 
 @pytest.mark.long
-def test_a_peak_long_after_the_step_is_found_too() -> None:
-    """A slow loop with an integral: its error still grows after the 40 periods of the search."""
-    analysis = analysed(33)
-    attacked = attack(drawn_loop(np.random.default_rng([40, 33])), np.random.default_rng([41, 33]))
-    assert analysis.peak_certified is not None
-    assert attacked <= analysis.peak_certified < 1.001 * analysis.peak_found
-
-
-@pytest.mark.long
 @pytest.mark.parametrize("seed", few_of([1, 34], 1))
 def test_a_peak_between_two_samples_is_certified_as_closely_as_it_is_attacked(seed: int) -> None:
     """Two loops that never switch, whose error overshoots; the attack knows their closed form alone."""
@@ -47,9 +38,10 @@ def test_a_peak_between_two_samples_is_certified_as_closely_as_it_is_attacked(se
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("seed", "ratio_max"), few_of([(47, 1.12), (0, 1.12)], 1))
+@pytest.mark.parametrize(("seed", "ratio_max"), few_of([(47, 1.12), (0, 1.12), (33, 1.001)], 1))
 def test_no_attack_exceeds_the_bound_of_a_switched_loop(seed: int, ratio_max: float) -> None:
-    """More by ``python -m tests.benchmarks.attack_peaks``; these two were at 1.16 and 2.3."""
+    """More by ``python -m tests.benchmarks.attack_peaks``; these were at 1.16 and 2.3; the error of the last,
+    slow and with an integral, still grows after the 40 periods of the search."""
     analysis = analysed(seed)
     attacked = attack(drawn_loop(np.random.default_rng([40, seed])), np.random.default_rng([41, seed]))
     assert analysis.peak_certified is not None

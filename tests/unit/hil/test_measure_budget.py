@@ -31,7 +31,7 @@ def test_what_is_refused_names_the_shortest_period_that_is_not(enable: bool, nod
 @pytest.mark.long
 def test_with_less_room_the_position_comes_seldom_before_anything_is_refused() -> None:
     told = []
-    for period_us in range(20_000, SHORTEST, -10):
+    for period_us in range(20_000, SHORTEST, -50):
         try:
             told.append(
                 affordable(replace(ASKED, nodes=(1, 2, 3), period_us=period_us, bitrate_bit_s=125_000))
@@ -44,7 +44,7 @@ def test_with_less_room_the_position_comes_seldom_before_anything_is_refused() -
 @pytest.mark.long
 def test_drives_that_follow_torques_tell_them_on_change_where_there_is_room() -> None:
     told = []
-    for period_us in range(20_000, SHORTEST, -10):
+    for period_us in range(20_000, SHORTEST, -50):
         try:
             asked = replace(ASKED, nodes=(1, 2, 3), period_us=period_us, bitrate_bit_s=125_000, enable=True)
             told.append(affordable(asked))

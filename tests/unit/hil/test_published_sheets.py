@@ -22,6 +22,7 @@ from servobench.design.motor import PmsmParameters
 from servobench.drivers.rotation import RPM_PER_RAD_S
 from servobench.hil.cli import app
 from servobench.hil.configuration.motor_file import load_motor
+from tests.draws import few_of
 
 Words = dict[str, float | str]
 
@@ -158,7 +159,12 @@ def renamed(sheet: Words, old: str, new: str) -> Words:
 
 
 def of_all(makers: str, old: str, new: str, told: str) -> list[tuple[str, str, str, str]]:
-    return [(name, old, new, told) for name in SHEETS if name.split()[0] in makers]
+    """A case for each sheet; of each maker few are taken, as their sheets have the same columns."""
+    return [
+        (name, old, new, told)
+        for maker in makers.split()
+        for name in few_of([each for each in SHEETS if each.split()[0] == maker], 1)
+    ]
 
 
 ALIKE = "Siemens WITTENSTEIN Beckhoff HEIDENHAIN Kollmorgen"

@@ -221,7 +221,6 @@ RUNS: Final = (
     "position_csp",
     "load_machine",
     "two_segments",
-    "azaiz2007_hinf",
 )
 
 
