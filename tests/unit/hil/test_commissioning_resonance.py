@@ -103,7 +103,7 @@ def test_a_commissioning_finds_the_resonance_and_a_controller_that_bears_it(
     motor = unknown_drive(SEED)[1].motor
     shaft = coupling(motor.inertia_kg_m2, resonance_hz, ratio)
     drive = DriveParameters(machine=replace(motor, mechanism=Mechanism(coupling=shaft)))
-    _truth, result, _spy = unknown_world(SEED, tmp_path, drive=drive, without=NOT_RESTED_ON)
+    _truth, result, _spy = unknown_world(SEED, tmp_path, drive=drive, period_us=2000, without=NOT_RESTED_ON)
     assert [record.name for record in result.records if record.verdict is not StepVerdict.DONE] == []
     steps = {record.name: record.outcome for record in result.records}
     assert steps["response"].figures["resonance_hz"] == pytest.approx(shaft.resonance_hz, rel=0.03)
@@ -120,7 +120,7 @@ def test_play_is_told_as_play(draw: int, tmp_path: Path) -> None:
     shaft = coupling(motor.inertia_kg_m2, random.uniform(100.0, 180.0), 2.0, backlash=play_rad)
     drive = DriveParameters(machine=replace(motor, mechanism=Mechanism(coupling=shaft)))
     _truth, result, _spy = unknown_world(
-        SEED, tmp_path, drive=drive, last_step="response", without=NOT_RESTED_ON
+        SEED, tmp_path, drive=drive, period_us=2000, last_step="response", without=NOT_RESTED_ON
     )
     response = next(record for record in result.records if record.name == "response")
     assert response.verdict is StepVerdict.DONE, response.reason

@@ -8,7 +8,7 @@ import pytest
 from tests.draws import ALL
 from tests.told import ROOT
 
-COUNT = 11 if ALL else 4
+COUNT = 11 if ALL else 2
 
 
 @pytest.mark.long

@@ -31,6 +31,7 @@ sys.meta_path.insert(0, Without())
 """
 EACH = """
 import json, os, sys, tempfile
+import can, canopen, numpy, pydantic, rich.console
 from servobench.hil.cli import main
 
 told = []
@@ -47,7 +48,8 @@ for line in sys.argv[1:]:
         told.append((status, said.read()))
 print(json.dumps(told))
 """
-"""Each command line in a process that is forked off where nothing but the command itself is imported."""
+"""Each command line in a process that is forked off where the command itself is imported, and packages that
+every bench has."""
 PLATE = """
 [motor]
 resistance_ohm = 0.1

@@ -162,7 +162,7 @@ def traced() -> str:
 def designed() -> str:
     """Gains, margins and certificates."""
     motor = "{examples}/motors/ling2012.toml"
-    network = "--period-ms 10 --strategy arrival --loss-max 5 --tau-max-ms 4"
+    network = "--period-ms 10 --strategy arrival --loss-max 2 --tau-max-ms 4"
     return run(
         f"motor show {motor}",
         f"analyse speed {motor} --gain 0,-0.0212 --delay-ms 64",
