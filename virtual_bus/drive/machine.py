@@ -25,7 +25,12 @@ from servobench.design.mechanism import Coupling, Mechanism, Side, Switches
 from servobench.drivers.canopen.objects301 import DataType
 from servobench.drivers.cia402.objects402 import INTERLOCK, Object
 from servobench.virtual_bus.core.native import InnerLoops, clipped
-from servobench.virtual_bus.device.object_dictionary import Access, DictionaryObject, ObjectDictionary
+from servobench.virtual_bus.device.object_dictionary import (
+    Access,
+    DictionaryObject,
+    ObjectDictionary,
+    Variable,
+)
 from servobench.virtual_bus.drive.homing_methods import Sensor, SwitchEdge
 from servobench.virtual_bus.drive.touch_probe import TouchProbes
 from servobench.virtual_bus.drive.user_units import UserUnits
@@ -33,11 +38,25 @@ from servobench.virtual_bus.drive.user_units import UserUnits
 MACHINE: Final = 0x2110
 """Manufacturer-specific."""
 ADDITIONAL_POSITION: Final = 0x60E4
-"""CiA 402-2; sub-index 1: of a second encoder."""
+ADDITIONAL_VELOCITY: Final = 0x60E5
+"""CiA 402-2; sub-index 1 of these and the next: of a second encoder."""
+ADDITIONAL_FACTORS: Final = {
+    0x60E6: (Object.POSITION_ENCODER_RESOLUTION, 1, "Additional position encoder resolution, increments"),
+    0x60EB: (Object.POSITION_ENCODER_RESOLUTION, 2, "Additional position encoder resolution, revolutions"),
+    0x60E8: (Object.GEAR_RATIO, 1, "Additional gear ratio, motor revolutions"),
+    0x60ED: (Object.GEAR_RATIO, 2, "Additional gear ratio, shaft revolutions"),
+    0x60E9: (Object.FEED_CONSTANT, 1, "Additional feed constant, feed"),
+    0x60EE: (Object.FEED_CONSTANT, 2, "Additional feed constant, shaft revolutions"),
+}
+"""By which 60E4h is scaled, and of the first encoder's factors the one that it equals."""
 _SWITCH_BITS: Final = 0x7
 _LIMIT_BITS: Final = 0x3
 _FAR: Final = 0x7FFF_FFFF
 """The last count of an INTEGER32: a switch there, and one at its negative, is passed by no axis."""
+
+
+def _held(variable: Variable) -> int:
+    return int(variable.value)
 
 
 class SimulatedMachine:
@@ -175,15 +194,27 @@ class SimulatedMachine:
         return record
 
     def _add_second_encoder(self, dictionary: ObjectDictionary, coupling: Coupling, units: UserUnits) -> None:
-        """60E4h: the encoder on the other side of the coupling, with as many counts, and no errors."""
+        """60E4h to 60EEh: the encoder on the other side of the coupling, with as many counts, the factors of
+        the first, and no errors."""
         inner, on_load = self._inner, coupling.encoder is Side.MOTOR
 
         def position() -> int:
             ahead_rad = inner.angle_rad - (inner.twist_rad if on_load else 0.0)
             return units.position_of(math.floor((inner.turns + ahead_rad / math.tau) * self._counts))
 
+        def velocity() -> int:
+            speed_rad_s = inner.load_speed_rad_s if on_load else inner.speed_rad_s
+            return clipped(speed_rad_s * units.velocity_per_rad_s, 32)
+
+        read_only, i32 = Access.READ_ONLY, DataType.INTEGER32
         told = dictionary.add_array(ADDITIONAL_POSITION, "Additional position")
-        told.add(1, "Second encoder", DataType.INTEGER32, Access.READ_ONLY, mappable=True, provider=position)
+        told.add(1, "Second encoder", i32, read_only, mappable=True, provider=position)
+        told = dictionary.add_array(ADDITIONAL_VELOCITY, "Additional velocity")
+        told.add(1, "Second encoder", i32, read_only, mappable=True, provider=velocity)
+        for index, (first, sub, name) in ADDITIONAL_FACTORS.items():
+            factor = partial(_held, dictionary.variable(first, sub))
+            told = dictionary.add_array(index, name)
+            told.add(1, "Second encoder", DataType.UNSIGNED32, read_only, stored=False, provider=factor)
 
     def _hit_speed(self) -> int:
         """mrad/s."""

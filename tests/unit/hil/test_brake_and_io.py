@@ -36,7 +36,7 @@ from servobench.virtual_bus.frame import Frame
 from tests.motors import LING
 from tests.scenario.foreign_node import Act, put_on_the_bus
 from tests.sdo_writes import SdoWrites, written
-from tests.unit.hil.test_manual_motion import Moved, moved
+from tests.unit.hil.test_manual_motion import WAYS, Moved, Tap, moved
 
 PERCENT = 50.0
 """1 N m of the motor's 2."""
@@ -85,6 +85,25 @@ def test_a_brake_that_does_not_let_go_sticks(tmp_path: Path) -> None:
     assert "the brake sticks" in done.result.ended_by
     done.tap.assert_rest()
     assert done.after == done.before
+
+
+@pytest.mark.parametrize(
+    ("way", "when"),
+    [("key", lambda tap: sum(tap.enabled) > 300), ("signal", lambda tap: abs(tap.rpm[-1]) > 20.0)],
+    ids=["a key while it pushes", "a signal while it turns"],
+)
+def test_a_key_and_a_signal_end_at_rest_with_the_brake_left_to_the_drive(
+    tmp_path: Path, way: str, when: Callable[[Tap], bool]
+) -> None:
+    end, status, why = WAYS[way]
+    done = end(tmp_path, lambda out, **how: tried(out, braked(), when=when, **how))
+    assert done.result.exit_status == status, done.told
+    assert why in done.result.ended_by
+    done.tap.assert_rest()
+    assert done.after == done.before
+    assert read_journal(tmp_path / "journal.jsonl").restored
+    pushed_ms = sum(done.tap.enabled)
+    assert pushed_ms < 1000 if way == "key" else pushed_ms > 3000, "1.8 s of each push"
 
 
 def test_a_drive_without_a_brake_output_is_left_alone(tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ _VOLATILE = frozenset({0x1003, 0x1013, 0x6040})
 
 
 class Tap:
-    """A node that looks at the shaft each millisecond, and does something once it turns."""
+    """A node that looks at the shaft each millisecond, and does something ``when`` it turns."""
 
     def __init__(self, servo: SimulatedServo, at_speed: Callable[[], None]) -> None:
         self.wake_at: Instant | None = None
@@ -61,6 +61,7 @@ class Tap:
         self.enabled: list[bool] = []
         self._servo = servo
         self._at_speed: Callable[[], None] | None = at_speed
+        self.when: Callable[[Tap], bool] = lambda tap: abs(tap.rpm[-1]) > 30.0
 
     def start(self, now: Instant) -> Sequence[Frame]:
         self.wake_at = now
@@ -76,7 +77,7 @@ class Tap:
         self.turns.append(inner.turns + inner.angle_rad / math.tau)
         self.rpm.append(inner.speed_rad_s / RAD_S_PER_RPM)
         self.enabled.append(self._servo.drive.power.state is ENABLED)
-        if self._at_speed is not None and abs(self.rpm[-1]) > 30.0:
+        if self._at_speed is not None and self.when(self):
             act, self._at_speed = self._at_speed, None
             act()
         return ()
@@ -135,6 +136,7 @@ def moved(
     purpose: str = "jog",
     servo: SimulatedServo | None = None,
     at_speed: Callable[[], None] = lambda: None,
+    when: Callable[[Tap], bool] | None = None,
     stop: EmergencyStop | None = None,
     faults: dict[str, Any] | None = None,
     dialog: Callable[[Callable[[str], None]], Dialog] = Dialog,
@@ -150,6 +152,7 @@ def moved(
         parse_bus_spec("simulated"), 1_000_000, False, None if faults is None else faults_from(faults, "x")
     )
     tap, heard, told = Tap(drive, at_speed), SdoWrites(), list[str]()
+    tap.when = when or tap.when
     before: dict[Any, bytes] = {}
     with open_world(plan, [drive]) as world:
         put_on_the_bus(world, tap, heard)
@@ -303,15 +306,10 @@ WAYS: dict[str, tuple[Callable[..., Moved], int, str]] = {
 """What happens, the exit status, and why it ended."""
 
 
-def far_jog(out: Path, **how: Any) -> Moved:
-    return jogged(out, 50.0, **how)
-
-
-def far_homing(out: Path, **how: Any) -> Moved:
-    return homed(out, 17, 50.0, **how)
-
-
-FAR: Final = {"jog": far_jog, "homing": far_homing}
+FAR: Final[dict[str, Callable[..., Moved]]] = {
+    "jog": lambda out, **how: jogged(out, 50.0, **how),
+    "homing": lambda out, **how: homed(out, 17, 50.0, **how),
+}
 
 
 @pytest.mark.parametrize("motion", FAR.values(), ids=FAR)

@@ -115,8 +115,8 @@ def test_no_torque_is_made_towards_the_end_of_the_axis() -> None:
     of.fit(2, positive=-1.0)
     for degrees in range(0, 360, 30):
         settled(of, degrees)
-    assert of.turns < 0.3, "the field went a quarter of a turn, the rotor was let go"
-    assert abs(of.servo.drive.firmware.inner.current_q_a) < 0.1
+    inner = of.servo.drive.firmware.inner
+    assert math.hypot(inner.current_d_a, inner.current_q_a) < 0.1, "it had 300 thousandths"
 
 
 def test_a_drive_that_needs_no_telling_has_neither_the_mode_nor_the_objects() -> None:
