@@ -35,11 +35,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     skip_unless_up(items, Path(__file__).parent, [CHANNEL], "SERVOBENCH_VCAN")
 
 
-@pytest.fixture(scope="module", autouse=True)
-def children(forked_children: None) -> None:
-    """All are forked: what a program imports takes an emulated machine a while."""
-
-
 @pytest.fixture
 def channel() -> str:
     """The virtual CAN interface of this machine."""
