@@ -53,7 +53,7 @@ GROUPS = {
             "hil/loop",
             "answered_syncs attribution axis beats clock_map clock_question command_meter protocol",
         ),
-        *_below("hil/loop", "cycle_record delay drive_stamps followed_command kept_order"),
+        *_below("hil/loop", "cycle_record delay drive_stamps followed_command kept_order late_drive"),
         *_below("hil/loop", "loop order_attribution order_evidence order_memory order_question pace"),
         *_below("hil/loop", "period_doubt readback_tie residuals safety samples scenario"),
         *_below("hil/loop", "stamp_attribution suspects syncs usual_delays way_back"),

@@ -200,6 +200,9 @@ def step_of(pairs: Sequence[tuple[int, Instant]]) -> int:
 
 STANDS_STILL: Final = 3
 """Equal stamps of SYNCs that were learned from in a row: one may be a frame that came twice."""
+ALIKE_PARTS: Final = 3
+"""So small a part of readings, of those that are most alike, is alike by a cause that goes on: delays that
+spread about a period have some behind the next SYNC."""
 LESSONS_MIN: Final = 8
 """Fewer readings do not say which of two ways to place their SYNCs is the better one,"""
 EVENER: Final = 1.5
@@ -267,15 +270,22 @@ class Lessons:
         return EVENER * by_hand_over < sum(each * each for each in off)
 
     def drop_overdue(self, period: Duration) -> bool:
-        """Let go of readings that came behind the next SYNC and were taken for that one's; whether there were
-        any. By the stamps that SYNC is a period later than those of the others."""
+        """Let go of readings that came behind the next SYNC and were taken for that one's, and of those of a
+        drive that stood still; whether there were any. By the stamps the SYNCs of the former are a period
+        later than those of the others, of the latter earlier, and few of these are alike."""
         offsets = [
             mark.on_bus_at - reading.device_time_ns
             for reading, mark in self.pairs
             if mark.on_bus_at is not None and reading.device_time_ns is not None
         ]
-        if len(offsets) < len(self.pairs) or max(offsets, default=0) - min(offsets, default=0) < period // 2:
+        half = period // 2
+        lacks = self.stamp_stands_still or len(offsets) < len(self.pairs)
+        if lacks or max(offsets, default=0) - min(offsets, default=0) < half:
             return False
-        latest = min(offsets) + period // 2
-        self.pairs = [pair for pair, offset in zip(self.pairs, offsets, strict=True) if offset < latest]
+        alike = [(sum(least <= offset < least + half for offset in offsets), least) for least in offsets]
+        most = max(alike)[0]
+        first = min(least for count, least in alike if ALIKE_PARTS * count >= most)
+        self.pairs = [
+            pair for pair, offset in zip(self.pairs, offsets, strict=True) if first <= offset < first + half
+        ]
         return True

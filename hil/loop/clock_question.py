@@ -78,19 +78,34 @@ class ClockQuestion(AnsweredSyncs):
         delays = [each.received_at - self._stamps.clock.place(each.device_ns) for each in suspects]
         return len(delays) < AGREEING_ALONE or min(delay, *delays) < low + self._half
 
-    def note_residuals(self, suspects: list[Suspect]) -> None:
+    def placed(self, suspects: list[Suspect]) -> list[tuple[Suspect, SyncMark]]:
+        """Suspects that lie on a SYNC, as the clock is, and that."""
+        placed = list[tuple[Suspect, SyncMark]]()
+        for suspect in suspects:
+            at = self._stamps.clock.place(suspect.device_ns)
+            mark = self._syncs.nearest(at)
+            if mark is not None and mark.on_bus_at is not None and self._stamps.fits(at - mark.on_bus_at):
+                placed.append((suspect, mark))
+        return placed
+
+    def note_residuals(self, suspects: list[Suspect]) -> list[tuple[SyncMark, int]]:
         """Suspects lie off their SYNCs though the clock is as it was: others may too. Where a SYNC may wait
-        in front of the bus unseen, a stamp before one is of the SYNC before, which waited so long."""
+        in front of the bus unseen, a stamp before one is of the SYNC before, which waited so long. Return
+        those off which a stamp lies by more than any before, and by how much."""
         stamps, may_wait, noted = self._stamps, self._syncs.basis is EchoBasis.NONE, list[int]()
+        beyond: list[tuple[SyncMark, int]] = []
         for suspect in suspects:
             at = stamps.clock.place(suspect.device_ns)
             mark = None if suspect.second else self._syncs.nearest(at)
             if mark is not None and mark.on_bus_at is not None:
                 residual = at - mark.on_bus_at
                 if not may_wait or residual >= stamps.residuals.least - stamps.match_ns:
+                    if not stamps.reaches(residual):
+                        beyond.append((mark, residual))
                     stamps.residuals.add_questioned(residual, stamps.match_ns, 2 * self._half)
                     noted.append(residual)
         stamps.residuals.scatter(noted)
+        return beyond
 
     def was_set(self, suspects: list[Suspect]) -> bool:
         """True if the clock is not as it was: a suspect would have come before the SYNC next to its stamp."""

@@ -138,6 +138,13 @@ class DriveStamps:
         tick."""
         return max(self._may_hide, self.residuals.hidden)
 
+    @property
+    def unshown_ns(self) -> int:
+        """The same where no stamp tells, as the map itself may err by all that residuals reach over."""
+        residuals = self.residuals
+        jitters = residuals.width > 2 * self.unmapped_ns
+        return max(self.match_ns, residuals.reach - self.match_ns) if jitters else self.match_ns
+
     def change_error_ns(self, device_ns: int) -> int:
         """By how much the map may misplace a change with this stamp, which shows its own steps."""
         clock, changes = self.clock, self._changes
@@ -226,6 +233,14 @@ class DriveStamps:
         residuals = self.residuals
         least = self.match_ns + residuals.slack
         return -least - residuals.early <= residual <= least + residuals.late
+
+    def is_rarely_off(self, residual: int) -> bool:
+        """Return whether hardly any stamp lies so much later than its SYNC, or before it; a coarse one hides
+        that."""
+        if self.coarse:
+            return True
+        off = self.lateness(residual) > self.match_ns or residual < -self.match_ns
+        return off and self.residuals.is_rare(residual)
 
     def lateness(self, residual: int) -> int:
         """By how much a stamp with this residual is later than the earliest ones."""

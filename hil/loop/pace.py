@@ -151,6 +151,9 @@ class OwnSync(Pace):
                 and min(len(axis.lessons) for axis in axes) >= CALIBRATION_SYNCS // 2
             ):
                 break
+        for axis in axes:
+            if axis.lessons.drop_overdue(self._period):
+                axis.learn_anew()
         for syncs in self._syncs:
             theirs = [axis for axis in axes if axis.parts.syncs is syncs]
             if any(axis.lessons.echoes_mislead for axis in theirs):

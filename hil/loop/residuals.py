@@ -33,6 +33,8 @@ GAPS: Final = 8
 """Beyond so many mean gaps a residual lies once in 3000 times, as long as they are spread evenly."""
 CLUSTERED: Final = 32
 """The last so many show whether there are gaps in them."""
+RARE: Final = 8
+"""and what hardly one in so many reaches, to either side."""
 CHANGING: Final = 3.0
 """Values that are spread evenly over a width change by a third of it on the average. Behind a calibration,
 where the map itself errs by more, changes alone show that they scatter."""
@@ -227,6 +229,11 @@ class Residuals:
         return self._extremes.high - self._extremes.low + 2 * self._slack()
 
     @property
+    def width(self) -> int:
+        """From the least to the largest."""
+        return self._extremes.width
+
+    @property
     def slack(self) -> int:
         """How far beyond the others the next may well lie."""
         return self._slack() if self.early or self.late else 0
@@ -235,6 +242,12 @@ class Residuals:
         """Twice what is usual: a bound has to hold from the first row to the last."""
         extremes = self._extremes
         return min(extremes.high - extremes.low, GAPS // 4 * extremes.slack())
+
+    def is_rare(self, residual: int) -> bool:
+        """Return whether few of the last ones were as large, or as small."""
+        larger = sum(other >= residual for other in self._recent)
+        smaller = sum(other <= residual for other in self._recent)
+        return min(larger, smaller) <= CLUSTERED // RARE
 
     def learn(self, residuals: Sequence[int], unseen_ns: int, *, anew: bool = True) -> None:
         """Take these for all that have been seen; see :meth:`add`. ``anew``: or else they lie about another

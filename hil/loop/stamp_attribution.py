@@ -29,6 +29,7 @@ from servobench.hil.loop.attribution import Health, Question, Tell
 from servobench.hil.loop.clock_map import STAMP_RESOLUTION
 from servobench.hil.loop.clock_question import AGREEING, SUSPECTS_MAX, ClockQuestion
 from servobench.hil.loop.drive_stamps import DriveStamps
+from servobench.hil.loop.late_drive import LateDrive
 from servobench.hil.loop.period_doubt import PeriodDoubt, Placing
 from servobench.hil.loop.residuals import DelayExtremes
 from servobench.hil.loop.samples import Sample
@@ -65,6 +66,9 @@ class StampAttribution:
         self._transit = transit
         self._case = ClockQuestion(syncs, self.stamps, period, transit, at_arrival)
         self.doubt = PeriodDoubt(syncs, self.stamps, period, transit, tell)
+        self._late_drive = LateDrive(
+            syncs, self.stamps, self._case, self.question, period, self.doubtful_error_ns
+        )
         self._suspects: list[Suspect] = []
         self._slowest = 0  # the longest delay of a suspect that lies on a SYNC
         self._recent: deque[Sample] = deque(maxlen=REVOKED)
@@ -116,6 +120,7 @@ class StampAttribution:
         fits = self.stamps.fits(residual)
         known = self._case.stamps.get(mark.number) if fits else None
         if known == device_ns and self._tells_again(reading):
+            self._late_drive.copied(mark, residual)
             self.health.duplicates += 1
             self._case.twice += 1
             return None
@@ -123,9 +128,7 @@ class StampAttribution:
             for rival in rivals:
                 if rival.number not in self._case.stamps:
                     self.question.doubt(rival.sequence, self.doubtful_error_ns)
-            self._case.answer(mark, device_ns)
-            self.doubt.proved = False
-            return self._uncertain(reading, mark)
+            return self._in_doubt(reading, device_ns, mark)
         free = fits and known is None
         sampled_at = at - self._residuals.middle if self._echoes_late else mark.on_bus_at
         if free and not self.doubt.surprised and self._usual(mark, reading.received_at - sampled_at, reading):
@@ -133,6 +136,8 @@ class StampAttribution:
                 self._exonerate_free()
                 self._acquit()
             self._case.twice = 0
+            if self._late_drive.doubts(mark, residual):
+                return self._in_doubt(reading, device_ns, mark)
             return self._matched(reading, device_ns, mark, residual)
         return self._suspect(reading, device_ns, mark, free, at, known)
 
@@ -162,7 +167,7 @@ class StampAttribution:
         elif not self._echoes_late or lateness > match_ns:
             # Nothing but the delay excludes that the SYNC was later to the drive than its stamp tells.
             hidden = self._case.hidden_ns(reading.received_at - sampled_at)
-            late = max(max(lateness, hidden), 0 if residuals.spread else match_ns)
+            late = max(max(lateness, hidden), 0 if residuals.spread else self.stamps.unshown_ns)
             error_ns = late + match_ns + residuals.slack
         if error_ns > self._half:
             error_ns = self._case.bounded(error_ns, sampled_at - on_bus_at, reading.received_at - on_bus_at)
@@ -198,17 +203,10 @@ class StampAttribution:
         at = Instant(self.clock.place(device_ns) - self._residuals.middle)
         return at, Duration(self.stamps.change_error_ns(device_ns) + self._residuals.reach)
 
-    # ---- clocks that were set -----------------------------------------------------------------------------
-
     def _exonerate_free(self) -> None:
         """The clock is as it was: suspects alone on a SYNC of their own are certain after all."""
-        placed = list[tuple[Suspect, SyncMark]]()
-        for suspect in self._suspects:
-            at = self.clock.place(suspect.device_ns)
-            mark = self._syncs.nearest(at)
-            if mark is not None and mark.on_bus_at is not None and self.stamps.fits(at - mark.on_bus_at):
-                placed.append((suspect, mark))
-        self._case.note_residuals(self._suspects)
+        placed = self._case.placed(self._suspects)
+        self._late_drive.acquitted(self._suspects)
         self._clear(self._exonerate(placed))
 
     def _clear(self, all_proved: bool) -> None:
@@ -227,7 +225,8 @@ class StampAttribution:
             if not suspect.second:  # wherever it was placed meanwhile: one with its stamp is a copy
                 self._case.answer(mark, suspect.device_ns)
             alone = stamped_ns < 2 * self._half and guesses.count(suspect.guess) == 1
-            if alone and suspect.guess == mark.sequence:
+            late_by = self.clock.place(suspect.device_ns) - (mark.on_bus_at or 0)
+            if alone and suspect.guess == mark.sequence and not self._late_drive.doubts(mark, late_by):
                 late = max(self.stamps.match_ns, self._case.hidden_ns(delay))
                 row = suspect.guess, suspect.received_at, stamped_ns + late + self._case.unstamped_ns(delay)
                 if self.doubt.open:
@@ -302,6 +301,12 @@ class StampAttribution:
         marks = self._case.free_marks(Instant(reading.received_at - self._transit))
         return self._uncertain(reading, free if free in marks else marks[-1] if marks else None)
 
+    def _in_doubt(self, reading: Reading, device_ns: int, mark: SyncMark) -> Sample | None:
+        """The SYNC of ``mark`` is answered by it, or by one that is not told from it."""
+        self._case.answer(mark, device_ns)
+        self.doubt.proved = False
+        return self._uncertain(reading, mark)
+
     def _uncertain(self, reading: Reading, mark: SyncMark | None) -> Sample | None:
         """It answers the SYNC of ``mark``, or another."""
         if mark is None or mark.on_bus_at is None or mark.sequence == SURPLUS:
@@ -321,7 +326,7 @@ class StampAttribution:
         elif count > SUSPECTS_MAX and self._case.was_set(self._suspects):
             del self._suspects[: AGREEING // 2]
         elif count > SUSPECTS_MAX:
-            self._case.note_residuals(self._suspects)
+            self._late_drive.acquitted(self._suspects)
             self._acquit()
 
     def _tell_step(self, by_ns: int, readings: int) -> None:
@@ -348,15 +353,13 @@ class StampAttribution:
         if others and (line.unlikely or line.delay_change > self._half):
             self.doubt.put(steps, others, self._case.delays, self._case.since)
         if not steps:
-            self._case.note_residuals(self._suspects)
+            self._late_drive.acquitted(self._suspects)
             self._case.delays = DelayExtremes()
         all_proved = self._exonerate(self._case.alike(placed) if steps else placed)
         self._clear(all_proved and not (steps and self._case.revoked))
         (self._close if steps else self._acquit)()
         self._case.twice = 0
         self._case.learn(placed, others=steps and line.others)
-
-    # ---- whole periods ------------------------------------------------------------------------------------
 
     def _resolve(self, device_ns: int, at: Instant, received_at: Instant) -> bool:
         """What a reading tells of the ways to place it, while there are several; whether the map moves."""

@@ -5,6 +5,7 @@ from itertools import pairwise
 import pytest
 
 from servobench.drivers.timebase import NS_PER_US
+from tests.truth.drawn import drawn_plan
 from tests.truth.drawn_bench import PERIOD_US, DrawnPlan
 from tests.truth.drawn_run import bench_config, judged
 from tests.truth.standstills import Standstills, Waiting
@@ -57,4 +58,12 @@ def test_what_a_run_tells_of_a_drive_that_stands_still_is_what_happened(
     plan = standing(waiting)
     plan.has_stamps = stamps
     verdict = judged(plan, CYCLES)
+    assert verdict.wrong == {}, verdict.examples
+
+
+@pytest.mark.parametrize(("seed", "cycles"), [(480849, 60), (480361, 250)])
+def test_a_reading_on_the_sync_behind_its_own_is_in_doubt(seed: int, cycles: int) -> None:
+    """While calibrating, where one such moved the clock's map by a period and 1405 of 1500 rows were others',
+    and among stamps of 250 us: 27 of 3000."""
+    verdict = judged(drawn_plan(seed), cycles)
     assert verdict.wrong == {}, verdict.examples

@@ -1,0 +1,116 @@
+"""Readings of a drive whose process stood still: late on the SYNC behind their own, or two of one instant."""
+
+import pytest
+
+from servobench.drivers.timebase import Instant
+from servobench.hil.loop.late_drive import EXPECTED_FOR
+from servobench.hil.loop.samples import Dropout, DropoutCause, Sample
+from tests.unit.hil.loop_fakes import PERIOD
+from tests.unit.hil.test_clock_steps import DOUBTFUL, Stepping
+from tests.unit.hil.test_stamp_attribution import DELAY
+
+LATE = 300_000
+"""More than any stamp was until it is seen once, and more than a SYNC so far off is told by."""
+AGAIN = 120_000
+USUAL = 12
+"""Cycles after which a question is answered."""
+
+
+class Standing(Stepping):
+    """As its base, with SYNCs that stay without a reading of their own."""
+
+    def cycles(self, count: int = USUAL) -> None:
+        """As usual."""
+        for _ in range(count):
+            self.cycle(self.log.marks[-1].number + 1)
+
+    def late(self, late: int, unanswered: int = 1) -> int:
+        """The drive acts on one of the next SYNCs so ``late``, and on those before not at all; number of the
+        first."""
+        first = self.log.marks[-1].number + 1
+        for number in range(first, first + unanswered):
+            self.sync(number)
+        self.cycle(first + unanswered, late, DELAY + late)
+        return first
+
+    def lost(self, number: int) -> bool:
+        """Whether the row of a SYNC without a reading is certain in the end."""
+        row = Dropout(number, Instant(number * PERIOD), DropoutCause.LOST, True)
+        return self.stamped.question.applied(row, None).certain
+
+    def certain(self, number: int) -> bool:
+        """The same of one that has a reading."""
+        sample = next(sample for sample in self.samples if sample.sequence == number)
+        row = self.stamped.question.applied(sample, sample.reading.received_at)
+        assert isinstance(row, Sample)
+        return row.certain
+
+
+def stood(unanswered: int = 1) -> tuple[Standing, int]:
+    """A drive that was late once, and for a while not; and the SYNC before that one."""
+    rig = Standing()
+    rig.cycles(40)
+    number = rig.late(LATE, unanswered)
+    rig.cycles()
+    assert not rig.stamped.question.open
+    assert rig.stamped.health.steps == 0
+    return rig, number
+
+
+def test_a_first_late_reading_may_be_of_the_sync_before_that_has_none() -> None:
+    rig, number = stood()
+    assert not rig.lost(number)
+    assert not rig.certain(number + 1)
+
+
+def test_so_may_every_later_one() -> None:
+    rig, _ = stood()
+    number = rig.late(AGAIN)
+    assert rig.samples[-1].sampled_at_error_ns == DOUBTFUL
+    assert not rig.lost(number)
+    assert not rig.certain(number + 1)
+    rig.cycles()
+    assert rig.samples[-1].certain
+
+
+def test_one_whose_sync_before_has_its_reading_is_certain() -> None:
+    rig, _ = stood()
+    number = rig.late(AGAIN, unanswered=0)
+    assert rig.certain(number)
+
+
+def test_one_that_is_not_late_tells_that_those_before_were_lost() -> None:
+    rig, _ = stood()
+    number = rig.late(0, unanswered=2)
+    assert rig.lost(number)
+    assert rig.lost(number + 1)
+    assert rig.certain(number + 2)
+
+
+def test_all_before_that_have_no_reading_are_in_doubt() -> None:
+    rig, number = stood(unanswered=3)
+    assert [rig.lost(each) for each in range(number - 1, number + 3)] == [True, False, False, False]
+
+
+def test_lateness_that_is_not_rare_is_jitter() -> None:
+    """So a loss beside it is one, but for the latest."""
+    rig, _ = stood()
+    for late in range(0, 8 * AGAIN, AGAIN // 4):
+        rig.late(late % (2 * AGAIN), unanswered=0)
+    number = rig.late(AGAIN)
+    assert rig.lost(number)
+    assert rig.certain(number + 1)
+
+
+@pytest.mark.parametrize("unanswered", [0, 1])
+def test_a_copy_of_a_late_reading_may_be_of_its_instant(unanswered: int) -> None:
+    """Of a drive that has a queue; a SYNC before that has its reading leaves the one that came twice."""
+    rig, _ = stood()
+    for _ in range(EXPECTED_FOR // 50 + 1):
+        rig.late(AGAIN, unanswered=0)
+        rig.cycles(50)
+    number = rig.late(AGAIN, unanswered)
+    assert rig.place(number + unanswered, AGAIN, DELAY + AGAIN + 200_000) is None
+    assert rig.stamped.health.duplicates == 1
+    assert rig.certain(number + unanswered) is (unanswered == 0)
+    assert rig.lost(number) is (unanswered == 0)
