@@ -57,6 +57,15 @@ def stood(unanswered: int = 1) -> tuple[Standing, int]:
     return rig, number
 
 
+def stood_long_ago() -> Standing:
+    """The same, of so long ago that it is expected no more; now and then it hears a SYNC late."""
+    rig, _ = stood()
+    for _ in range(EXPECTED_FOR // 50 + 1):
+        rig.late(AGAIN, unanswered=0)
+        rig.cycles(50)
+    return rig
+
+
 def test_a_first_late_reading_may_be_of_the_sync_before_that_has_none() -> None:
     rig, number = stood()
     assert not rig.lost(number)
@@ -102,13 +111,17 @@ def test_lateness_that_is_not_rare_is_jitter() -> None:
     assert rig.certain(number + 1)
 
 
+def test_a_late_reading_of_a_drive_that_stood_still_long_ago_is_certain() -> None:
+    rig = stood_long_ago()
+    number = rig.late(AGAIN)
+    assert rig.lost(number)
+    assert rig.certain(number + 1)
+
+
 @pytest.mark.parametrize("unanswered", [0, 1])
 def test_a_copy_of_a_late_reading_may_be_of_its_instant(unanswered: int) -> None:
     """Of a drive that has a queue; a SYNC before that has its reading leaves the one that came twice."""
-    rig, _ = stood()
-    for _ in range(EXPECTED_FOR // 50 + 1):
-        rig.late(AGAIN, unanswered=0)
-        rig.cycles(50)
+    rig = stood_long_ago()
     number = rig.late(AGAIN, unanswered)
     assert rig.place(number + unanswered, AGAIN, DELAY + AGAIN + 200_000) is None
     assert rig.stamped.health.duplicates == 1
