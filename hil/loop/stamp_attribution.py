@@ -66,9 +66,7 @@ class StampAttribution:
         self._transit = transit
         self._case = ClockQuestion(syncs, self.stamps, period, transit, at_arrival)
         self.doubt = PeriodDoubt(syncs, self.stamps, period, transit, tell)
-        self._late_drive = LateDrive(
-            syncs, self.stamps, self._case, self.question, period, self.doubtful_error_ns
-        )
+        self._late = LateDrive(syncs, self.stamps, self._case, self.question, period, self.doubtful_error_ns)
         self._suspects: list[Suspect] = []
         self._slowest = 0  # the longest delay of a suspect that lies on a SYNC
         self._recent: deque[Sample] = deque(maxlen=REVOKED)
@@ -120,7 +118,7 @@ class StampAttribution:
         fits = self.stamps.fits(residual)
         known = self._case.stamps.get(mark.number) if fits else None
         if known == device_ns and self._tells_again(reading):
-            self._late_drive.copied(mark, residual)
+            self._late.copied(mark, residual)
             self.health.duplicates += 1
             self._case.twice += 1
             return None
@@ -136,7 +134,7 @@ class StampAttribution:
                 self._exonerate_free()
                 self._acquit()
             self._case.twice = 0
-            if self._late_drive.doubts(mark, residual):
+            if self._late.doubts(mark, residual):
                 return self._in_doubt(reading, device_ns, mark)
             return self._matched(reading, device_ns, mark, residual)
         return self._suspect(reading, device_ns, mark, free, at, known)
@@ -206,7 +204,7 @@ class StampAttribution:
     def _exonerate_free(self) -> None:
         """The clock is as it was: suspects alone on a SYNC of their own are certain after all."""
         placed = self._case.placed(self._suspects)
-        self._late_drive.acquitted(self._suspects)
+        self._late.acquitted(self._suspects)
         self._clear(self._exonerate(placed))
 
     def _clear(self, all_proved: bool) -> None:
@@ -226,7 +224,7 @@ class StampAttribution:
                 self._case.answer(mark, suspect.device_ns)
             alone = stamped_ns < 2 * self._half and guesses.count(suspect.guess) == 1
             late_by = self.clock.place(suspect.device_ns) - (mark.on_bus_at or 0)
-            if alone and suspect.guess == mark.sequence and not self._late_drive.doubts(mark, late_by):
+            if alone and suspect.guess == mark.sequence and not self._late.doubts(mark, late_by):
                 late = max(self.stamps.match_ns, self._case.hidden_ns(delay))
                 row = suspect.guess, suspect.received_at, stamped_ns + late + self._case.unstamped_ns(delay)
                 if self.doubt.open:
@@ -326,7 +324,7 @@ class StampAttribution:
         elif count > SUSPECTS_MAX and self._case.was_set(self._suspects):
             del self._suspects[: AGREEING // 2]
         elif count > SUSPECTS_MAX:
-            self._late_drive.acquitted(self._suspects)
+            self._late.acquitted(self._suspects)
             self._acquit()
 
     def _tell_step(self, by_ns: int, readings: int) -> None:
@@ -353,7 +351,7 @@ class StampAttribution:
         if others and (line.unlikely or line.delay_change > self._half):
             self.doubt.put(steps, others, self._case.delays, self._case.since)
         if not steps:
-            self._late_drive.acquitted(self._suspects)
+            self._late.acquitted(self._suspects)
             self._case.delays = DelayExtremes()
         all_proved = self._exonerate(self._case.alike(placed) if steps else placed)
         self._clear(all_proved and not (steps and self._case.revoked))
