@@ -93,8 +93,8 @@ class RunRecorder(ABC):
         """End the recording and return its summary. Error: RecordingFailed if there is none."""
 
 
-_REVIEWED_BYTES = 4096 * ROW.size
-"""2 MB. A review costs as much as one of 300 rows more."""
+_REVIEWED_BYTES = 1024 * ROW.size
+"""A review of so many rows costs little more than one of a single row."""
 
 
 class KeptFrame(NamedTuple):

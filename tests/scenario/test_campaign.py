@@ -288,7 +288,8 @@ def test_its_page_has_every_run_and_a_cell_s_worst_run(done: Campaign, tmp_path:
     _, labels = columns(tmp_path / "page.rrd", "/map0/rate/values", "Points2D:labels")
     rows, across = both.plan.axes
     rate, _ = cell_maps(both, rows, across)
-    assert labels == [[rate.label(*place) for place in np.ndindex(rate.values.shape)]]
+    lines = [line for place in np.ndindex(rate.values.shape) for line in rate.label(*place).split("\n")]
+    assert labels == [lines]
     assert [run for run in rate.runs.ravel() if run >= 0] == np.flatnonzero(~passed).tolist(), "one a cell"
     write_page(done, tmp_path / "one_key.rrd")
     _, text = columns(tmp_path / "one_key.rrd", "/summary", "TextDocument:text")

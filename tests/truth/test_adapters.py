@@ -91,4 +91,4 @@ def test_syncs_that_a_hub_brings_to_the_drive_together_are_in_doubt(
     )
 
     assert (result.rows, result.wrong, result.bound_broken) == (CYCLES, 0, 0)
-    assert result.uncertain <= 5
+    assert result.uncertain <= 6, "three SYNCs around each time that it stood still"
