@@ -341,10 +341,6 @@ class OwedAnswers:
             asked.popleft()
         command = answer[0] >> 5 if answer else 0
         name = answer[1:4] if command in _NAMING_ANSWERS else b""
-        if asked and asked[0][1] == name:  # as nearly always
-            asked.popleft()
-            self._earlier_until = Instant(0)
-            return True
         due = next((each for each in asked if each[1] == name), None)
         if due is None and command == _ABORT_COMMAND and asked:
             due = asked[0]

@@ -271,15 +271,20 @@ def paged(mapped: Campaign) -> Path:
     return mapped.folder / "campaign.rrd"
 
 
-def told_at(place: Path, entity: str) -> dict[tuple[float, float], str]:
-    """The texts of an entity by where they stand."""
+def points_of(place: Path, entity: str) -> dict[str, Any]:
+    """The points of an entity, by component."""
     for chunk in RrdReader(place).stream():
         batch = chunk.to_record_batch()
         columns = {name.rpartition(":")[2]: name for name in batch.schema.names}
         if str(chunk.entity_path) == entity and "labels" in columns:
-            texts, places = (batch.column(columns[name]).to_pylist()[0] for name in ("labels", "positions"))
-            return dict(zip(map(tuple, places), texts, strict=True))
+            return {part: batch.column(name).to_pylist()[0] for part, name in columns.items()}
     raise LookupError(entity)
+
+
+def told_at(place: Path, entity: str) -> dict[tuple[float, float], str]:
+    """The texts of an entity by where they stand."""
+    points = points_of(place, entity)
+    return dict(zip(map(tuple, points["positions"]), points["labels"], strict=True))
 
 
 def in_cell(told: dict[tuple[float, float], str], row: int, column: int) -> list[str]:
@@ -298,6 +303,15 @@ def test_values_and_keys_stand_in_and_beside_the_cells(paged: Path) -> None:
         (-0.25, 0.5): "0.1", (-0.25, 1.5): "0.2", (-0.25, 2.5): "0.4",
         (0.5, 3.25): "pi", (1.5, 3.25): "<hinf>",
     }  # fmt: skip
+
+
+@pytest.mark.parametrize(("losses", "shown"), [(7, True), (8, False)])
+def test_labels_that_would_cover_one_another_wait_for_the_pointer(
+    tmp_path: Path, losses: int, shown: bool
+) -> None:
+    axes = grid([0.01 * place for place in range(losses)], ["pi"])
+    page.write_page(campaign_of(tmp_path / "out", plan_of(**axes), [{}] * losses), tmp_path / "page.rrd")
+    assert points_of(tmp_path / "page.rrd", "/map0/rate/values")["show_labels"] == [shown]
 
 
 def test_the_page_holds_maps_members_and_a_summary(paged: Path) -> None:
