@@ -10,9 +10,10 @@ import os
 import signal
 import subprocess
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import pytest
@@ -52,7 +53,11 @@ class Standstill:
     """Counts the frames that a step sends, and has the host stand still after one of them, once."""
 
     def __init__(
-        self, world: World, servo: SimulatedServo, at_frame: dict[str, int], at_speed: dict[str, float]
+        self,
+        world: World,
+        servo: SimulatedServo,
+        at_frame: dict[str, int],
+        at_speed: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
         """By step: behind that frame, or the first that is sent while the shaft is so fast, rad/s."""
         self._world = world
@@ -60,8 +65,8 @@ class Standstill:
         self._at_frame, self._at_speed = at_frame, at_speed
         self._step = ""
         self._sent = 0
-        self.fastest: dict[str, float] = {}
-        """By step: the highest speed of the shaft when a frame was sent, rad/s."""
+        self.fastest: dict[str, tuple[float, int]] = {}
+        """By step: the highest speed of the shaft, rad/s, and the frame that was sent then."""
         self.frames: dict[str, int] = {}
         """By step: how many were sent."""
         self.kinds: set[tuple[int, bool]] = set()
@@ -81,7 +86,8 @@ class Standstill:
         self.kinds.add((can_id, remote))
         speed = self._speed()
         self.frames[self._step] = self._sent
-        self.fastest[self._step] = max(speed, self.fastest.get(self._step, 0.0))
+        if speed > self.fastest.get(self._step, (-1.0, 0))[0]:
+            self.fastest[self._step] = (speed, self._sent)
         due = self._at_frame.get(self._step) == self._sent
         if (due or speed >= self._at_speed.get(self._step, math.inf)) and self._step not in self.stood:
             self.stood[self._step] = (speed, speed)
@@ -136,7 +142,7 @@ def commissioned(
     at_frame: dict[str, int],
     wait: Callable[[World, Standstill, Idle], None] | None = None,
     lacks: Sequence[str] = ("1029",),
-    at_speed: dict[str, float] | None = None,
+    at_speed: Mapping[str, float] = MappingProxyType({}),
     **changes: Any,
 ) -> tuple[Commissioned, Standstill]:
     """In simulated time; ``changes``: of the request."""
@@ -147,7 +153,7 @@ def commissioned(
         **changes,
     )  # fmt: skip
     with open_world(WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, None, SEED), [servo]) as world:
-        still = Standstill(world, servo, at_frame, at_speed or {})
+        still = Standstill(world, servo, at_frame, at_speed)
         dialog = Dialog(print) if wait is None else Slow(lambda idle: wait(world, still, idle))
 
         def steps() -> list[Step]:
@@ -172,7 +178,7 @@ def unhurried(tmp_path_factory: pytest.TempPathFactory) -> Standstill:
 
 
 def test_a_host_that_stands_still_in_every_step(tmp_path: Path, unhurried: Standstill) -> None:
-    at_speed = {name: 0.9 * fastest for name, fastest in unhurried.fastest.items() if fastest > TURNING_RAD_S}
+    at_speed = {name: 0.9 * speed for name, (speed, _) in unhurried.fastest.items() if speed > TURNING_RAD_S}
     at_frame = {name: sent // 2 for name, sent in unhurried.frames.items() if name not in at_speed}
     result, still = commissioned(tmp_path, at_frame, at_speed=at_speed)
     said = [(record.name, record.verdict, record.reason) for record in result.records]
