@@ -73,7 +73,7 @@ GROUPS = {
             "virtual_bus/drive",
             "homing_methods machine operation_mode operation_modes power_state",
         ),
-        *_below("virtual_bus/drive", "profile_modes servo set_point_path"),
+        *_below("virtual_bus/drive", "profile_modes servo set_point_path vl_mode"),
         *_below("virtual_bus/drive", "servo_parameters trajectory user_units"),
         *_below("virtual_bus/hosting", "devices"),
     ],

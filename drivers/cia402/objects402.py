@@ -94,6 +94,8 @@ class Object(IntEnum):
     DC_LINK_CIRCUIT_VOLTAGE = 0x6079
     """mV."""
     TARGET_POSITION = 0x607A
+    POSITION_RANGE_LIMIT = 0x607B
+    """Sub 1 minimum, sub 2 maximum."""
     HOME_OFFSET = 0x607C
     SOFTWARE_POSITION_LIMIT = 0x607D
     """Sub 1 minimum, sub 2 maximum."""
@@ -127,6 +129,8 @@ class Object(IntEnum):
     HOMING_SPEEDS = 0x6099
     """Sub 1 while searching for the switch, sub 2 for the zero."""
     HOMING_ACCELERATION = 0x609A
+    PROFILE_JERK_USE = 0x60A3
+    PROFILE_JERK = 0x60A4
     SI_UNIT_POSITION = 0x60A8
     SI_UNIT_VELOCITY = 0x60A9
     SI_UNIT_ACCELERATION = 0x60AA
@@ -148,6 +152,7 @@ class Object(IntEnum):
     """User position unit, as the three above."""
     MAX_ACCELERATION = 0x60C5
     MAX_DECELERATION = 0x60C6
+    TOUCH_PROBE_SOURCE = 0x60D0
     POSITIVE_TORQUE_LIMIT = 0x60E0
     NEGATIVE_TORQUE_LIMIT = 0x60E1
     """Per thousand of 0x6076, as the one above."""

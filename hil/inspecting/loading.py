@@ -62,7 +62,7 @@ _UNITS: Final = frozenset(
 )
 """Scaling of other objects' values."""
 _BOUNDS: Final = frozenset(
-    {Object.VL_VELOCITY_MIN_MAX_AMOUNT, Object.MAX_TORQUE, Object.MAX_CURRENT, 0x607B}
+    {Object.VL_VELOCITY_MIN_MAX_AMOUNT, Object.MAX_TORQUE, Object.MAX_CURRENT, Object.POSITION_RANGE_LIMIT}
     | {Object.SOFTWARE_POSITION_LIMIT, Object.MAX_PROFILE_VELOCITY, Object.MAX_MOTOR_SPEED}
     | {Object.MAX_ACCELERATION, Object.MAX_DECELERATION, 0x60E0, 0x60E1}
 )

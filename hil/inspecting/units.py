@@ -19,7 +19,8 @@ from servobench.drivers.sheets.dictionary import held_number, variables_in
 Place = tuple[int, int]
 """Index and sub-index."""
 _POSITIONS: Final = (
-    0x607B, Object.SOFTWARE_POSITION_LIMIT, Object.FOLLOWING_ERROR_WINDOW, 0x6067, 0x607C,
+    Object.POSITION_RANGE_LIMIT, Object.SOFTWARE_POSITION_LIMIT, Object.FOLLOWING_ERROR_WINDOW,
+    Object.POSITION_WINDOW, Object.HOME_OFFSET,
 )  # fmt: skip
 _VELOCITIES: Final = (
     Object.MAX_PROFILE_VELOCITY, Object.PROFILE_VELOCITY, Object.HOMING_SPEEDS, 0x606D, 0x606F,

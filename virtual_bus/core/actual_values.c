@@ -25,3 +25,9 @@ double user_position(double counts, double counts_per_position)
         return position - wrap;
     return position < -wrap / 2.0 ? position + wrap : position;
 }
+
+double ranged_position(const UserScale *scale, double counts)
+{
+    double beyond = fmod(rint(counts / scale->counts_per_position) - scale->range_low, scale->range_span);
+    return scale->range_low + (beyond < 0.0 ? beyond + scale->range_span : beyond);
+}

@@ -28,7 +28,7 @@ static PyObject *make(PyTypeObject *type, PyObject *arguments, PyObject *names)
     loops->inverter.output_share = loops->phase_amplitude = 1.0;
     loops->rotor.cosine = 1.0; /* of the angle 0 */
     loops->rate_hz = loops->motion_ticks = 1; /* divided by */
-    loops->scale = (UserScale){0.0, 1.0, 1.0, 1.0};
+    loops->scale = (UserScale){0.0, 1.0, 1.0, 1.0, 0.0, 0.0};
     return self;
 }
 
@@ -94,7 +94,9 @@ static PyObject *call_torque_in_force(PyObject *self, PyObject *none)
 /* 6064h as of the last tick, as are the next two. */
 static double position_told(InnerLoops *loops)
 {
-    return user_position(loops->state.count - loops->scale.origin, loops->scale.counts_per_position);
+    const UserScale *scale = &loops->scale;
+    double counts = loops->state.count - scale->origin;
+    return scale->range_span ? ranged_position(scale, counts) : user_position(counts, scale->counts_per_position);
 }
 
 /* 606Ch. */
@@ -642,6 +644,8 @@ static PyMemberDef members[] = {
     PARAMETER(scale, counts_per_position),
     PARAMETER(scale, velocity_per_rad_s),
     PARAMETER(scale, torque_unit_nm),
+    PARAMETER(scale, range_low),
+    PARAMETER(scale, range_span),
     {"asked", T_INT, PLACE(asked), 0, NULL},
     {"power_on_ns", T_LONGLONG, PLACE(power_on_ns), 0, NULL},
     {"rate_hz", T_LONGLONG, PLACE(rate_hz), 0, NULL},

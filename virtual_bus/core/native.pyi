@@ -395,6 +395,9 @@ class InnerLoops:
     counts_per_position: float
     velocity_per_rad_s: float
     torque_unit_nm: float
+    range_low: float
+    range_span: float
+    """607Bh, user units; 0: positions wrap as an INTEGER32."""
 
     # ---- grid ----
     power_on_ns: int

@@ -38,6 +38,8 @@ class ActualValues:
         inner.counts_per_position = units.counts_per_position
         inner.velocity_per_rad_s = units.velocity_per_rad_s
         inner.torque_unit_nm = self._objects.torque_unit_nm
+        inner.range_low = float(units.low)
+        inner.range_span = float(units.span) if units.ranged else 0.0
 
 
 LOAD_NM: Final = 1e-3

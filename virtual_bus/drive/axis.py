@@ -18,17 +18,18 @@ from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.virtual_bus.drive.failures import FOLLOWING_ERROR
 from servobench.virtual_bus.drive.firmware import Firmware, InnerControl
 from servobench.virtual_bus.drive.machine import SimulatedMachine
-from servobench.virtual_bus.drive.servo_objects import (
+from servobench.virtual_bus.drive.motion_objects import (
     HIGHEST,
     LOWEST,
     NO_WINDOW,
     UNLIMITED,
     MotionObjects,
-    ServoObjects,
+    ProfileType,
     VelocityRamp,
 )
+from servobench.virtual_bus.drive.servo_objects import ServoObjects
 from servobench.virtual_bus.drive.set_point_path import SetPointFilter
-from servobench.virtual_bus.drive.trajectory import MoveLimits
+from servobench.virtual_bus.drive.trajectory import LINEAR, SINE, MoveLimits, RampForm
 from servobench.virtual_bus.drive.user_units import UserUnits
 
 POSITION_BANDWIDTH: Final = 0.25
@@ -222,7 +223,7 @@ class SimulatedAxis:
             return False
         speed = self._inner.speed_measured_rad_s
         braking = speed * abs(speed) / (2.0 * self.quick_stop_rad_s2) * self._counts_per_rad
-        place = self.units.length_of(self.count + braking - self.units.origin)
+        place = self.units.length_of(self.count + braking - self.units.origin) - self.units.turned(self.count)
         upwards = (way > 0.0) == (self.units.counts_per_position > 0.0)
         return place >= ends[1] if upwards else place <= ends[0]
 
@@ -244,16 +245,18 @@ class SimulatedAxis:
         return cut
 
     def cut_target(self, position: int) -> int:
-        """A target inside 607Dh."""
+        """A target inside 607Dh, where 607Bh has wrapped it."""
         ends = self._range()
         if ends is None:
             return position
+        if self.units.ranged:
+            position = self.units.within(position)
         cut = min(max(position, ends[0]), ends[1])
         self.limited = self.limited or cut != position
         return cut
 
     def move_limits(self) -> MoveLimits:
-        """6081h..6084h inside 607Fh, 6080h, 60C5h and 60C6h; counts and seconds."""
+        """6081h..6084h inside 607Fh, 6080h, 60C5h and 60C6h, by the ramps of 6086h; counts and seconds."""
         motion = self.motion
         speed = min(motion.speed.value, motion.max_speed.value)
         self.limited = self.limited or speed != motion.speed.value
@@ -262,7 +265,19 @@ class SimulatedAxis:
             self._counts_per_rad * self.acceleration_rad_s2,
             self._counts_per_rad * self.deceleration_rad_s2,
             self._counts_per_rad * self.speed_of(motion.end_speed.value),
+            self.ramp(self._counts_per_rad),
         )
+
+    def ramp(self, per_rad: float = 1.0) -> RampForm:
+        """The form of ramps by 6086h and 60A4h, lengths in so many units per rad."""
+        motion = self.motion
+        form = int(motion.profile_type.value)
+        if form == ProfileType.SINE:
+            return SINE
+        jerk = int(motion.jerk.value)
+        if form != ProfileType.JERK_LIMITED or not jerk:
+            return LINEAR
+        return RampForm(per_rad * jerk * self.units.rad_s3_per_jerk)
 
     def cut_change(self, speed_rad_s: float, change_rad_s: float) -> float:
         """A change of speed within one period, inside 60C5h if it goes faster and 60C6h if slower."""

@@ -18,8 +18,8 @@ from typing import Final
 from servobench.drivers.cia402.profile import Control, Status
 from servobench.virtual_bus.drive.axis import SimulatedAxis, WindowTimer
 from servobench.virtual_bus.drive.firmware import InnerControl
+from servobench.virtual_bus.drive.motion_objects import NO_WINDOW
 from servobench.virtual_bus.drive.operation_mode import HaltedMode, OperationMode
-from servobench.virtual_bus.drive.servo_objects import NO_WINDOW
 from servobench.virtual_bus.drive.set_point_path import Interpolation
 
 _LATE: Final = 1.5

@@ -14,12 +14,8 @@ from servobench.virtual_bus.drive.cyclic_modes import (
 )
 from servobench.virtual_bus.drive.homing import Homing
 from servobench.virtual_bus.drive.operation_mode import OperationMode
-from servobench.virtual_bus.drive.profile_modes import (
-    ProfilePosition,
-    ProfileTorque,
-    ProfileVelocity,
-    VelocityMode,
-)
+from servobench.virtual_bus.drive.profile_modes import ProfilePosition, ProfileTorque, ProfileVelocity
+from servobench.virtual_bus.drive.vl_mode import VelocityMode
 
 MODES: dict[Mode, Callable[[SimulatedAxis], OperationMode]] = {
     Mode.PROFILE_POSITION: ProfilePosition,

@@ -17,24 +17,22 @@ zero: no more once it was above 606Fh for 6070h, and again as soon as it is not.
 asynchronous motors, stays 0.
 
 PT: to the target torque (6071h) by the torque slope (6087h).
-
-VL, the velocity mode of frequency converters (CiA 402-2): a target in r/min behind a ramp.
-
-    6042h --> 6046h --> bit 6 --> ramp 6048h, 6049h --> bit 5 --> bit 4 --> 6043h --> speed loop
-              least and   0: 0    faster, slower        0: held   0: the drive's own, here to rest
-              most amount                                         by 6049h
-
-A target of 0 is none below the least amount: the shaft stands. 604Ah is the quick stop ramp of this mode. It
-has no bits of its own in the statusword; bit 10 says that the shaft stands during a halt.
 """
 
 from typing import Final
 
-from servobench.drivers.cia402.profile import CHANGE_AT_ONCE, NEW_SET_POINT, RELATIVE, Control, Status
+from servobench.drivers.cia402.profile import CHANGE_AT_ONCE, NEW_SET_POINT, RELATIVE, Status
 from servobench.virtual_bus.drive.axis import SimulatedAxis, WindowTimer
+from servobench.virtual_bus.drive.motion_objects import NO_WINDOW, RELATIVE_BITS, RelativeOption, RotaryOption
 from servobench.virtual_bus.drive.operation_mode import HaltedMode
-from servobench.virtual_bus.drive.servo_objects import NO_WINDOW, RelativeOption
-from servobench.virtual_bus.drive.trajectory import MoveLimits, plan_move, plan_speed, plan_stop
+from servobench.virtual_bus.drive.trajectory import (
+    MoveLimits,
+    RampForm,
+    TrajectoryPoint,
+    plan_move,
+    plan_speed,
+    plan_stop,
+)
 
 CHANGE_ON_SET_POINT: Final = 1 << 9
 
@@ -127,16 +125,28 @@ class ProfilePosition(HaltedMode):
         axis.limited = False
         if controlword & RELATIVE:
             origin = self._origin()
-            position += units.position_of(origin)
-            target = units.nearest_count_of(axis.cut_target(position), origin)
+            start = units.position_of(origin)
+            target = units.moved(origin, axis.cut_target(start + position) - start)
         else:
-            target = units.count_of(axis.cut_target(position), axis.count)
+            target = self._absolute(axis.cut_target(position))
         limits = axis.move_limits()
         return PositionTarget(target, limits, axis.limited)
 
+    def _absolute(self, position: int) -> float:
+        """Return the encoder count of a target; in 607Bh from the demand on by the way that 60F2h says, as a
+        shaft that stands a count beyond its target would turn once round."""
+        axis, units = self.axis, self.axis.units
+        way = int(axis.motion.positioning.value) & RotaryOption.SHORTEST
+        if not units.ranged or way == RotaryOption.LINEAR:
+            return units.count_of(position, axis.count)
+        demand = self._profile.at(self._elapsed_s).position
+        if way == RotaryOption.SHORTEST:
+            return units.nearest_count_of(position, demand)
+        return units.next_count_of(position, demand, way == RotaryOption.POSITIVE)
+
     def _origin(self) -> float:
         """Return where a relative move counts from, by 60F2h; encoder counts."""
-        option = self.axis.motion.relative.value
+        option = int(self.axis.motion.positioning.value) & RELATIVE_BITS
         if option == RelativeOption.ACTUAL:
             return self.axis.count
         if option == RelativeOption.DEMAND:
@@ -154,7 +164,7 @@ class ProfilePosition(HaltedMode):
         """From where the present profile is, or the shaft during a halt."""
         start = self._profile.at(self._elapsed_s)
         self._under_way = set_point
-        self._profile = plan_move(start.position, start.speed, set_point.target, set_point.limits)
+        self._profile = plan_move(start, set_point.target, set_point.limits)
         self._elapsed_s = 0.0
         self._reached = self._passing = self._given_up = False
         self._window.restart()
@@ -165,7 +175,9 @@ class ProfilePosition(HaltedMode):
         if under_way is None:
             return
         limits = under_way.limits
-        passing = MoveLimits(limits.speed, limits.acceleration, limits.deceleration, limits.speed)
+        passing = MoveLimits(
+            limits.speed, limits.acceleration, limits.deceleration, limits.speed, limits.ramp
+        )
         self._start(PositionTarget(under_way.target, passing, under_way.cut))
         self._passing = True
 
@@ -219,9 +231,9 @@ class ProfileVelocity(HaltedMode):
         super().__init__(axis)
         self._reached_window = WindowTimer()
         self._turning_window = WindowTimer()
-        self._profile = plan_speed(0.0, 0.0, 1.0, 1.0)
+        self._profile = plan_speed(TrajectoryPoint(0.0, 0.0), 0.0, 1.0, 1.0)
         self._elapsed_s = 0.0
-        self._planned: tuple[float, float, float] | None = None
+        self._planned: tuple[float, float, float, RampForm] | None = None
         self._reached = False
         self._zero = False
 
@@ -265,10 +277,13 @@ class ProfileVelocity(HaltedMode):
         asked_for = axis.motion.target_velocity.value * axis.units.rad_s_per_velocity
         target = axis.cut_speed(min(max(asked_for, -most), most))
         axis.limited = axis.limited or target != asked_for
-        planned = (target, axis.acceleration_rad_s2, axis.deceleration_rad_s2)
+        planned = (target, axis.acceleration_rad_s2, axis.deceleration_rad_s2, axis.ramp())
         if planned == self._planned:
             return
-        start = axis.speed_rad_s if self._planned is None else self._profile.at(self._elapsed_s).speed
+        if self._planned is None:
+            start = TrajectoryPoint(0.0, axis.speed_rad_s)
+        else:
+            start = self._profile.at(self._elapsed_s)
         self._profile = plan_speed(start, *planned)
         self._elapsed_s = 0.0
         self._planned = planned
@@ -322,71 +337,3 @@ class ProfileTorque(HaltedMode):
 
     def status_bits(self) -> int:
         return self.target_bit(self._reached)
-
-
-class VelocityMode(HaltedMode):
-    """A ramp in speed, planned anew when its input or a rate changes."""
-
-    def __init__(self, axis: SimulatedAxis) -> None:
-        super().__init__(axis)
-        self._profile = plan_speed(0.0, 0.0, 1.0, 1.0)
-        self._elapsed_s = 0.0
-        self._planned: tuple[float, float, float] | None = None
-        self._word = 0
-
-    def begin(self, controlword: int) -> None:
-        self.axis.begin()
-        self._planned = None
-        self._word = controlword
-        self.begin_halt(controlword)
-
-    def receive(self, controlword: int) -> None:
-        self._word = controlword
-        if self.take_halt(controlword):
-            self._planned = None
-
-    def run(self) -> None:
-        axis = self.axis
-        if self.halted:
-            return
-        locked = self._word & Control.MODE_4 and not self._word & Control.MODE_5
-        if not locked or self._planned is None:
-            self._plan()
-        if not locked:
-            self._elapsed_s += axis.period_s
-        axis.run_at(self._profile.at(self._elapsed_s).speed)
-        if axis.barred:
-            self._planned = None
-
-    def status_bits(self) -> int:
-        return self.target_bit(False)
-
-    def slow_down_rad_s2(self) -> float:
-        return self.axis.ramp_rad_s2(self.axis.motion.vl_deceleration)
-
-    def quick_stop_rad_s2(self) -> float:
-        return self.axis.ramp_rad_s2(self.axis.motion.vl_quick_stop)
-
-    # ---- inside ---------------------------------------------------------------------------------------
-
-    def _plan(self) -> None:
-        """From the speed that the ramp, or at its begin the shaft, has; rad/s, rad/s^2."""
-        axis, motion = self.axis, self.axis.motion
-        target = axis.cut_speed(self._input() * axis.rad_s_per_vl)
-        planned = (target, axis.ramp_rad_s2(motion.vl_acceleration), self.slow_down_rad_s2())
-        if planned == self._planned:
-            return
-        start = axis.speed_rad_s if self._planned is None else self._profile.at(self._elapsed_s).speed
-        self._profile = plan_speed(start, *planned)
-        self._elapsed_s = 0.0
-        self._planned = planned
-
-    def _input(self) -> int:
-        """Return the ramp's target, units of the mode; 0 while the controlword blocks it."""
-        asked = int(self.axis.motion.vl_target.value)
-        if not asked or not self._word & Control.MODE_4 or not self._word & Control.MODE_6:
-            return 0
-        motion = self.axis.motion
-        amount = min(max(abs(asked), int(motion.vl_least.value)), int(motion.vl_most.value))
-        self.axis.limited = self.axis.limited or amount != abs(asked)
-        return amount if asked > 0 else -amount

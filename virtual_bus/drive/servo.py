@@ -38,11 +38,12 @@ from servobench.virtual_bus.drive.firmware import Firmware, InnerControl
 from servobench.virtual_bus.drive.holding_brake import HoldingBrake
 from servobench.virtual_bus.drive.lacks import take_away
 from servobench.virtual_bus.drive.machine import SimulatedMachine
+from servobench.virtual_bus.drive.motion_objects import MotionObjects
 from servobench.virtual_bus.drive.operation_mode import OperationMode
 from servobench.virtual_bus.drive.operation_modes import MODES, modes_for
 from servobench.virtual_bus.drive.power_stage import TRIP_CODES, Trip
 from servobench.virtual_bus.drive.power_state import BASE_STATUS, MotorAction, PowerStateMachine
-from servobench.virtual_bus.drive.servo_objects import MotionObjects, ServoObjects
+from servobench.virtual_bus.drive.servo_objects import ServoObjects
 from servobench.virtual_bus.drive.servo_parameters import (
     SENSOR_NOISE,
     SWITCH_BOUNCES,

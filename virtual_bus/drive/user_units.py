@@ -3,8 +3,10 @@
     position unit      60A8h, else 6092h (feed) and 6091h (gear), else 608Fh
     velocity unit      60A9h, else 6096h times position units per second
     acceleration unit  60AAh, else velocity units per second
-    60ABh              is kept, and scales nothing: no profile here has a jerk
+    jerk unit          60ABh, else acceleration units per second
     607Eh              bit 7 turns the sign of positions, bit 6 that of velocities
+    607Bh              positions wrap from its maximum to its minimum, which are one place; where it is no
+                       range, as an INTEGER32
 
 The drive reads its own objects by the rules of :mod:`servobench.drivers.cia402.scaling`. Of a unit word and a
 factor that say different things the one written last rules: a factor that is written clears the unit word.
@@ -62,10 +64,16 @@ class UserUnits:
         self.rad_s_per_velocity = 1.0
         self.velocity_per_rad_s = 1.0
         self.rad_s2_per_acceleration = 1.0
+        self.rad_s3_per_jerk = 1.0
+        self.low, self.span, self._half = -_HALF, _WRAP, _HALF
+        """The least user position, and how many there are."""
+        self.ranged = False
+        """By 607Bh."""
         self.changed: Callable[[], None] = lambda: None
         """Called after every change of a factor or of the origin."""
         self._add_factors(counts_per_revolution)
         self._add_unit_words()
+        self._add_range()
         self.polarity = dictionary.add(
             Object.POLARITY, "Polarity", _U8, check=self._check_polarity, on_write=self._on_factor
         )
@@ -82,6 +90,12 @@ class UserUnits:
         self.rad_s_per_velocity = velocity_sign * scaling.velocity_rad_s
         self.velocity_per_rad_s = 1.0 / self.rad_s_per_velocity
         self.rad_s2_per_acceleration = scaling.acceleration_rad_s2
+        self.rad_s3_per_jerk = scaling.jerk_rad_s3
+        low, high = int(self.range_min.value), int(self.range_max.value)
+        self.ranged = low < high and (low, high) != (-_HALF, _HALF - 1)
+        self.low, self.span, self._half = -_HALF, _WRAP, _HALF
+        if self.ranged:
+            self.low, self.span, self._half = low, high - low, (high - low - 1) // 2
 
     def set_origin(self, count: float) -> None:
         """The master's position 0 is at that encoder count from now on."""
@@ -91,23 +105,50 @@ class UserUnits:
     # ---- positions ------------------------------------------------------------------------------------
 
     def position_of(self, count: float) -> int:
-        """User position of an encoder count, as the INTEGER32 that wraps."""
+        """User position of an encoder count, as it wraps."""
+        if self.ranged:
+            return self.within(round((count - self.origin) / self.counts_per_position))
         return user_position(count - self.origin, self.counts_per_position)
+
+    def within(self, position: int) -> int:
+        """A user position as it wraps."""
+        return (position - self.low) % self.span + self.low
 
     def length_of(self, counts: float) -> int:
         """A difference of counts in position units, the nearest whole one."""
         return round(counts / self.counts_per_position)
 
     def count_of(self, position: int, near: float) -> float:
-        """The encoder count of a user position in that turn of the INTEGER32 in which ``near`` is."""
+        """The encoder count of a user position in that turn of the range in which ``near`` is."""
         units = (near - self.origin) / self.counts_per_position
-        turns = math.floor((units + _HALF) / _WRAP)
-        return self.origin + (position + turns * _WRAP) * self.counts_per_position
+        turns = math.floor((units - self.low) / self.span)
+        return self.origin + (self.within(position) + turns * self.span) * self.counts_per_position
 
     def nearest_count_of(self, position: int, near: float) -> float:
-        """The encoder count of a user position that is the nearest to ``near``, even through the wrap."""
+        """The encoder count of a user position that is the nearest to ``near``, even through the wrap; of two
+        alike in 607Bh the upper."""
         units = round((near - self.origin) / self.counts_per_position)
-        return self.origin + (units + wrapped(position - units)) * self.counts_per_position
+        way = (position - units + self._half) % self.span - self._half
+        return self.origin + (units + way) * self.counts_per_position
+
+    def next_count_of(self, position: int, near: float, upwards: bool) -> float:
+        """The encoder count of a user position on the one way from ``near``, even through the wrap."""
+        units = round((near - self.origin) / self.counts_per_position)
+        way = (position - units) % self.span if upwards else -((units - position) % self.span)
+        return self.origin + (units + way) * self.counts_per_position
+
+    def moved(self, count: float, way: int) -> float:
+        """The encoder count so many user units beyond the whole position that is the nearest to ``count``."""
+        units = round((count - self.origin) / self.counts_per_position)
+        return self.origin + (units + way) * self.counts_per_position
+
+    def turned(self, count: float) -> int:
+        """How far the turn of 607Bh in which ``count`` is lies from the first; 0 without it."""
+        if not self.ranged:
+            return 0
+        return (
+            math.floor(((count - self.origin) / self.counts_per_position - self.low) / self.span) * self.span
+        )
 
     # ---- objects --------------------------------------------------------------------------------------
 
@@ -143,6 +184,13 @@ class UserUnits:
             self._dictionary.add(
                 index, index.title, _U32, default=word, check=check, on_write=self._on_factor
             )
+
+    def _add_range(self) -> None:
+        limits = self._dictionary.add_array(Object.POSITION_RANGE_LIMIT, Object.POSITION_RANGE_LIMIT.title)
+        self.range_min, self.range_max = (
+            limits.add(sub, name, DataType.INTEGER32, mappable=True, on_write=self._on_factor)
+            for sub, name in ((1, "Minimum"), (2, "Maximum"))
+        )
 
     def _word_check(self, known: Callable[[int], bool]) -> Callable[[int], AbortCode | None]:
         def check(word: int) -> AbortCode | None:

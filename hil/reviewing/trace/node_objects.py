@@ -34,7 +34,7 @@ _RATED: Final = Object.MOTOR_RATED_TORQUE
 _POSITIONS: Final = frozenset(
     {Object.POSITION_DEMAND_VALUE, Object.POSITION_ACTUAL_VALUE, Object.FOLLOWING_ERROR_WINDOW}
     | {Object.POSITION_WINDOW, Object.POSITION_OFFSET, Object.FOLLOWING_ERROR_ACTUAL_VALUE, 0x607A, 0x607C}
-    | {0x607B, 0x607D}
+    | {Object.POSITION_RANGE_LIMIT, Object.SOFTWARE_POSITION_LIMIT}
 )
 _VELOCITIES: Final = frozenset({0x606B, 0x606C, 0x606D, 0x606F, 0x607F, 0x6081, 0x6082, 0x60B1, 0x60FF})
 _UNSIGNED_SPEEDS: Final = frozenset({0x606D, 0x606F, 0x607F, 0x6081, 0x6082})
@@ -220,7 +220,7 @@ class NodeObjects:
         if index in _FIXED:
             factor, unit = _FIXED[index]
             return raw * factor, unit
-        if index in (0x607B, 0x607D) and not sub:
+        if index in (Object.POSITION_RANGE_LIMIT, Object.SOFTWARE_POSITION_LIMIT) and not sub:
             return None, ""
         units = self._known_units()
         scaling = units.scaling

@@ -11,10 +11,10 @@ from servobench.virtual_bus.drive.machine import MACHINE
 from tests.motors import LING
 from tests.unit.virtual_bus.motion_bench import COUNTS, INDEX, NEW_SET_POINT, RELATIVE, MotionBench
 
-FUNCTION, STATUS = 0x60B8, 0x60B9
+FUNCTION, STATUS, SOURCE = 0x60B8, 0x60B9, 0x60D0
 POSITIVE, NEGATIVE = (0x60BA, 0x60BC), (0x60BB, 0x60BD)
 """Of probe 1 and 2."""
-ENABLED, EACH, ZERO_IMPULSE, RISING, FALLING = 0x01, 0x02, 0x04, 0x10, 0x20
+ENABLED, EACH, ZERO_IMPULSE, BY_SOURCE, RISING, FALLING = 0x01, 0x02, 0x04, 0x08, 0x10, 0x20
 INPUTS: Final = 11
 """Sub-index of the simulated machine."""
 INVALID_VALUE: Final = 0x0609_0030
@@ -103,9 +103,44 @@ def test_the_zero_impulse_is_captured_at_its_count(turns_s: float) -> None:
     assert (last - 0.25).is_integer()
 
 
-@pytest.mark.parametrize("word", [0x08, 0x0C, 0x0800, 0x0C00])
-def test_a_source_that_the_drive_lacks_is_refused(word: int) -> None:
+@pytest.mark.parametrize("word", [0x0C, 0x0C00, 0x0C08])
+def test_a_reserved_source_is_refused(word: int) -> None:
     assert MotionBench(Mode.PROFILE_VELOCITY).write(FUNCTION, "H", word) == INVALID_VALUE
+
+
+@pytest.mark.parametrize("probe", [0, 1])
+@pytest.mark.parametrize("source", [1, 2])
+def test_60d0h_says_whose_input_a_probe_looks_at(probe: int, source: int) -> None:
+    """60B8h bits 2 and 3: 10 is the source of 60D0h, 1 the input of probe 1 and 2 that of probe 2."""
+    bench = turning()
+    assert [bench.read(SOURCE, "h", sub) for sub in (1, 2)] == [1, 2]
+    bench.set(SOURCE, "h", source, probe + 1)
+    bench.set(FUNCTION, "H", (ENABLED | BY_SOURCE | RISING) << 8 * probe)
+    bench.set(MACHINE, "B", 1 << (2 - source), INPUTS)
+    assert status(bench) == 1 << 8 * probe
+    before = bench.turns
+    bench.set(MACHINE, "B", 3, INPUTS)
+    bench.wait_ms(5)
+    assert status(bench) == 3 << 8 * probe
+    assert probed(bench, POSITIVE[probe]) == before != bench.turns
+
+
+@pytest.mark.parametrize("source", [5, 6])
+def test_60d0h_can_name_the_zero_impulse(source: int) -> None:
+    bench = turning()
+    bench.set(MACHINE, "I", COUNTS // 4, INDEX)
+    bench.set(SOURCE, "h", source, 1)
+    bench.set(FUNCTION, "H", ENABLED | BY_SOURCE | RISING)
+    began = bench.turns
+    bench.set(MACHINE, "B", 3, INPUTS)
+    assert status(bench) == 1
+    bench.wait_ms(1200)
+    assert probed(bench, POSITIVE[0]) == math.ceil(began - 0.25) + 0.25
+
+
+@pytest.mark.parametrize("source", [0, 3, 4, 7, -1])
+def test_a_source_that_the_drive_lacks_is_refused(source: int) -> None:
+    assert MotionBench(Mode.PROFILE_VELOCITY).write(SOURCE, "h", source, 1) == INVALID_VALUE
 
 
 def test_a_reset_of_the_node_switches_the_probe_off() -> None:
@@ -187,6 +222,6 @@ def test_a_relative_move_counts_from_what_60f2h_says(option: int, origin: str) -
     assert bench.turns == pytest.approx(places[origin] + 1.0, abs=2e-3 if option == 0 else 0.01)
 
 
-@pytest.mark.parametrize("option", [3, 4, 0x40, 0x80, 0xFFFF])
+@pytest.mark.parametrize("option", [3, 4, 0x43, 0x100, 0xFFFF])
 def test_an_option_that_the_drive_lacks_is_refused(option: int) -> None:
     assert MotionBench(Mode.PROFILE_POSITION).write(0x60F2, "H", option) == INVALID_VALUE
