@@ -1,11 +1,12 @@
 """A few loops of the attack: nothing certified is exceeded, and a claim slightly too low would be."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import cache
 
 import pytest
 
 from servobench.hil.studies.speed.loss_peaks import peak_of
-from tests.attack.__main__ import Attack, attacked
+from tests.attack.__main__ import Attack, Attacked, attacked
 from tests.attack.drawn import drawn_loop
 from tests.draws import few_of
 
@@ -17,6 +18,11 @@ def attack() -> Iterator[Attack]:
     own = Attack()
     yield own
     own.close()
+
+
+@pytest.fixture(scope="module")
+def found_of(attack: Attack) -> Callable[[int], Attacked | None]:
+    return cache(lambda seed: attacked(seed, attack))
 
 
 @pytest.mark.parametrize(
@@ -35,8 +41,10 @@ def attack() -> Iterator[Attack]:
         3,
     ),
 )
-def test_no_attack_exceeds_what_is_certified(attack: Attack, seed: int, kind: str) -> None:
-    found = attacked(seed, attack)
+def test_no_attack_exceeds_what_is_certified(
+    found_of: Callable[[int], Attacked | None], seed: int, kind: str
+) -> None:
+    found = found_of(seed)
     assert found is not None
     assert found.kind == kind
     assert not found.violated
@@ -44,8 +52,8 @@ def test_no_attack_exceeds_what_is_certified(attack: Attack, seed: int, kind: st
     assert found.attacked > 0.94 * found.certified
 
 
-def test_a_false_claim_is_told(attack: Attack) -> None:
-    found = attacked(16, attack)
+def test_a_false_claim_is_told(found_of: Callable[[int], Attacked | None]) -> None:
+    found = found_of(16)
     assert found is not None
     assert found._replace(certified=0.99 * found.attacked).violated
 

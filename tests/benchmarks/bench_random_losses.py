@@ -8,7 +8,7 @@ predictor's filter takes readings for steps of the load by their innovation, as 
 import argparse
 import math
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -245,14 +245,21 @@ class Beside(NamedTuple):
         return self.low <= self.most and self.high >= self.least
 
 
-def beside(path: Path, links: tuple[Link, Link], runs: int, seed: int, periods: int = 60) -> list[Beside]:
+def beside(
+    path: Path,
+    links: tuple[Link, Link],
+    runs: int,
+    seed: int,
+    periods: int = 60,
+    multiples: Sequence[float] = MULTIPLES,
+) -> list[Beside]:
     """Return variance where it is largest, and exceedances, of the analysis and of runs."""
     controller = load_controller(path)
     assert isinstance(controller, Designed)
     losses = losses_of(network_of(links), path, controller)
     ends, peaks = errors(path, links, runs, periods, seed)
     _, (lossless,) = errors(path, (Link(), Link()), 1, periods, seed)
-    thresholds = [multiple * float(lossless) for multiple in MULTIPLES]
+    thresholds = [multiple * float(lossless) for multiple in multiples]
     figures = losses_figures(controller, path, losses, LOAD_NM, thresholds)
     step = figures["after_step"]
     at = int(np.argmax(step["deviations_rad_s"][:periods]))

@@ -211,7 +211,7 @@ def test_stick_and_slip_are_those_of_solve_ivp() -> None:
     reference = Reference(shaft, 0.2, 0.3, 0.5, way=0)
     plant.spin(1.0, 0.0)
     x, found, expected = np.array([1.0, 0.0, 0.0]), [], []
-    for _ in range(6400):
+    for _ in range(3200):
         plant.advance(0.0, 0.0)
         x = reference.advance(x, PERIOD_S, 0.0, 0.0)
         found.append(observe(plant)[1:])

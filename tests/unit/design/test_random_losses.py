@@ -79,7 +79,7 @@ def test_a_threshold_that_is_passed_before_anything_acts_is_passed_for_certain()
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_figures_agree_with_runs_that_share_nothing_with_them(path: Path) -> None:
     links = Link(0.03, 0.6, 0.8, 0.01), Link(0.02, 0.6, 0.9)
-    for figure in beside(path, links, 3000, 7, periods=40):
+    for figure in beside(path, links, 3000, 7, periods=40, multiples=(1.25,)):
         assert figure.inside, figure
 
 
