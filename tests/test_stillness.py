@@ -17,6 +17,7 @@ from tests.stillness import EXCUSED_MS, STOOD_STILL_MS, Witness
 WAITED_MS = 40
 PATIENCE_MS = 5_000
 CLOCK = MonotonicClock()
+ON_EMULATED = {"SERVOBENCH_EMULATED": "1"}
 
 
 @pytest.fixture
@@ -53,15 +54,18 @@ def test_one_that_has_ended_says_so(witness: Witness) -> None:
 
 @pytest.mark.xdist_group("real time")
 @pytest.mark.parametrize(
-    ("late_ms", "environment", "failed"),
+    ("late_ms", "passing", "environment", "failed"),
     [
-        pytest.param(2 * STOOD_STILL_MS, {"SERVOBENCH_EMULATED": "1"}, 1, id="emulated, and stood still"),
-        pytest.param(0, {"SERVOBENCH_EMULATED": "1"}, LEFT_OUT_MAX + 1, id="emulated, and kept its time"),
-        pytest.param(2 * STOOD_STILL_MS, {}, LEFT_OUT_MAX + 1, id="a machine of one's own"),
+        pytest.param(2 * STOOD_STILL_MS, 0, ON_EMULATED, 1, id="emulated, and stood still"),
+        pytest.param(
+            2 * STOOD_STILL_MS, 1, ON_EMULATED, 0, id="emulated, and stood still for one that passed"
+        ),
+        pytest.param(0, 1, ON_EMULATED, LEFT_OUT_MAX + 1, id="emulated, and kept its time"),
+        pytest.param(2 * STOOD_STILL_MS, 1, {}, LEFT_OUT_MAX + 1, id="a machine of one's own"),
     ],
 )
 def test_few_tests_for_which_an_emulated_machine_stood_still_are_left_out(
-    tmp_path: Path, late_ms: int, environment: dict[str, str], failed: int
+    tmp_path: Path, late_ms: int, passing: int, environment: dict[str, str], failed: int
 ) -> None:
     text = f"""
         import os, signal
@@ -70,31 +74,54 @@ def test_few_tests_for_which_an_emulated_machine_stood_still_are_left_out(
         from tests.test_stillness import rest
 
         @pytest.mark.xdist_group("real time")
-        @pytest.mark.parametrize("number", range({LEFT_OUT_MAX + 1}))
-        def test_that_fails(number):
+        @pytest.mark.parametrize("passes", [True] * {passing} + [False] * {LEFT_OUT_MAX + 1})
+        def test_that_fails(passes):
             for witness in map(int, Path("/proc/thread-self/children").read_text().split()):
                 if {late_ms}:
                     os.kill(witness, signal.SIGSTOP)
                     rest({late_ms})
                     os.kill(witness, signal.SIGCONT)
                     rest(20)
-            assert False
+            assert passes
     """
-    (tmp_path / "test_late.py").write_text(dedent(text), encoding="utf-8")
+    ran = pytest_in(tmp_path, text, environment)
+    left_out = LEFT_OUT_MAX + 1 - failed
+    assert ran.returncode == (1 if failed else 0), ran.stdout
+    assert (f"{failed} failed" in ran.stdout) == bool(failed)
+    assert (f"{left_out} skipped" in ran.stdout) == bool(left_out)
+    assert ran.stdout.count("left out, as the emulated machine stood still") == left_out
+
+
+def test_what_has_not_begun_in_the_time_allowed_is_skipped_and_a_failure_before_it_stands(
+    tmp_path: Path,
+) -> None:
+    text = """
+        import pytest
+        from tests.test_stillness import rest
+
+        @pytest.mark.parametrize("number", range(3))
+        def test_that_takes_long(number):
+            rest(1500)
+            assert number
+    """
+    ran = pytest_in(tmp_path, text, {"SERVOBENCH_SECONDS": "1"})
+    assert ran.returncode == 1, ran.stdout
+    assert "1 failed, 2 skipped" in ran.stdout
+    assert "no time left for 2 tests, the first test_late.py" in ran.stdout
+
+
+def pytest_in(folder: Path, text: str, environment: dict[str, str]) -> "subprocess.CompletedProcess[str]":
+    """What pytest, with this repository's conftest, says of a test file in ``folder``."""
+    (folder / "test_late.py").write_text(dedent(text), encoding="utf-8")
     root = Path(__file__).parents[1]
     clean = {
         key: value for key, value in os.environ.items() if not key.startswith(("PYTEST_", "SERVOBENCH_"))
     }
-    ran = subprocess.run(
-        [sys.executable, "-m", "pytest", "-p", "tests.conftest", "--rootdir", str(tmp_path), "test_late.py"],
-        cwd=tmp_path,
+    return subprocess.run(
+        [sys.executable, "-m", "pytest", "-p", "tests.conftest", "--rootdir", str(folder), "test_late.py"],
+        cwd=folder,
         env=clean | environment | {"PYTHONPATH": str(root)},
         capture_output=True,
         text=True,
         check=False,
     )
-    left_out = LEFT_OUT_MAX + 1 - failed
-    assert ran.returncode == 1, ran.stdout
-    assert f"{failed} failed" in ran.stdout
-    assert (f"{left_out} skipped" in ran.stdout) == bool(left_out)
-    assert ran.stdout.count("left out, as the emulated machine stood still") == left_out

@@ -231,11 +231,17 @@ class Observer:
         """Let time pass, still taking frames in."""
         self._network.pump(Instant(self._clock.now() + round(duration_s * NS_PER_S)))
 
-    def until_turning(self, speed_rad_s: float, limit_s: float = START_LIMIT_S) -> None:
-        """Wait until the shaft turns at least that fast."""
+    def until_turning(
+        self,
+        speed_rad_s: float,
+        limit_s: float = START_LIMIT_S,
+        command: "subprocess.Popen[str] | None" = None,
+    ) -> None:
+        """Wait until the shaft turns at least that fast, or ``command``, which is to turn it, has ended."""
         deadline = self._clock.now() + round(limit_s * NS_PER_S)
         while abs(self.velocity_rad_s()) < speed_rad_s:
             assert self._clock.now() < deadline, "the drive never reached its speed"
+            assert command is None or command.poll() is None, f"it ended first: {command.communicate()}"
             self.wait(0.01)
 
     def time_to_rest(self, since: Instant, limit_s: float) -> Duration:

@@ -59,7 +59,7 @@ def struck(
     command = ["run", str(bench), "--bus", f"socketcan:{adapter}", "--record", str(record)]
     process = in_background([*(hil() if by is None else by), *command])
     with observer(far) as watching:
-        watching.until_turning(TURNING_RAD_S, START_LIMIT_S)
+        watching.until_turning(TURNING_RAD_S, START_LIMIT_S, process)
         struck_at = watching.now()
         strike(watching, process.pid)
         if not passes:

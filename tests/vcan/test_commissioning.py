@@ -3,8 +3,10 @@
 import pytest
 
 from tests.scenario.commission_suite import CommissionSuite
+from tests.stillness import EMULATED
 
 
+@pytest.mark.skipif(EMULATED, reason="takes an emulated machine two minutes, a busy one ten")
 class TestOnVcan(CommissionSuite):
     """The same as on the hub."""
 
