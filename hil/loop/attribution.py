@@ -85,6 +85,10 @@ class Question:
         self._proved.pop(sequence, None)
         return sequence > self._recorded
 
+    def doubts(self, sequence: int) -> bool:
+        """Return whether the row of a cycle has been marked so, and waits."""
+        return sequence in self._doubted
+
     def prove(self, sequence: int, received_at: Instant, error_ns: int) -> None:
         """The row of a cycle is certain after all, if it has the reading that came at ``received_at``: it may
         have been settled with another by then."""

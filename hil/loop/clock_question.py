@@ -88,12 +88,12 @@ class ClockQuestion(AnsweredSyncs):
                 placed.append((suspect, mark))
         return placed
 
-    def note_residuals(self, suspects: list[Suspect]) -> list[tuple[SyncMark, int]]:
+    def note_residuals(self, suspects: list[Suspect]) -> list[SyncMark]:
         """Suspects lie off their SYNCs though the clock is as it was: others may too. Where a SYNC may wait
         in front of the bus unseen, a stamp before one is of the SYNC before, which waited so long. Return
-        those off which a stamp lies by more than any before, and by how much."""
+        those off which a stamp lies by more than any before."""
         stamps, may_wait, noted = self._stamps, self._syncs.basis is EchoBasis.NONE, list[int]()
-        beyond: list[tuple[SyncMark, int]] = []
+        beyond: list[SyncMark] = []
         for suspect in suspects:
             at = stamps.clock.place(suspect.device_ns)
             mark = None if suspect.second else self._syncs.nearest(at)
@@ -101,7 +101,7 @@ class ClockQuestion(AnsweredSyncs):
                 residual = at - mark.on_bus_at
                 if not may_wait or residual >= stamps.residuals.least - stamps.match_ns:
                     if not stamps.reaches(residual):
-                        beyond.append((mark, residual))
+                        beyond.append(mark)
                     stamps.residuals.add_questioned(residual, stamps.match_ns, 2 * self._half)
                     noted.append(residual)
         stamps.residuals.scatter(noted)
@@ -121,6 +121,7 @@ class ClockQuestion(AnsweredSyncs):
         happened. ``unlikely``: or a step, and that the smallest delay has changed by less than a period, or
         whatever is needed for the only one, if all suspects lie on it."""
         last, earlier = suspects[-self.agreeing :], suspects[: -self.agreeing]
+        self._stamps.heed_steps([suspect.device_ns for suspect in suspects])
         lines = self._borne_out(self.lines(last, self._low_before(earlier)), earlier)
         if unlikely and len(lines) == 1 and self._misfit(lines[0], earlier) <= MISFIT_MOST * len(earlier):
             return lines

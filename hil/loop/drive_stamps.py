@@ -7,6 +7,7 @@ The map of the drive's clock, the steps by which its stamps advance, and what ma
 import math
 from bisect import insort
 from collections import deque
+from collections.abc import Sequence
 from itertools import combinations
 from typing import Final
 
@@ -33,6 +34,9 @@ LEARNED_MAX: Final = 64
 """Readings of a calibration that are remembered: as many as it has SYNCs at the most."""
 
 
+PHASES_MIN: Final = 3
+"""Different phases of stamps that show the step by which all advance: jitter, or a clock that was set, puts
+two on a grid of ten microseconds by chance once in a hundred times."""
 PHASES_MAX: Final = 64
 """Of changes behind a SYNC that are compared: as many as a period of 2 ms has ticks of 62.5 us, in whole
 microseconds."""
@@ -215,6 +219,18 @@ class DriveStamps:
         self.resolution = before
         return False
 
+    def heed_steps(self, stamps: Sequence[int]) -> None:
+        """Stamps of SYNCs that a drive heard with jitter lie off the map. Where all advance by a step between
+        those of SYNCs, that is what they are rounded to, be the SYNCs as regular as they may."""
+        if self._first is None:
+            return
+        off = [device_ns - self._first for device_ns in stamps]
+        step = math.gcd(self._grid, *off)
+        if len({each % self._period for each in off}) >= PHASES_MIN and self.resolution < step < self._period:
+            self.resolution = Duration(step)
+            self.clock.set_resolution(self.resolution)
+            self.unmapped_ns = self._unmapped()
+
     def _unmapped(self) -> int:
         off = self.resolution
         if self.coarse:
@@ -234,13 +250,9 @@ class DriveStamps:
         least = self.match_ns + residuals.slack
         return -least - residuals.early <= residual <= least + residuals.late
 
-    def is_rarely_off(self, residual: int) -> bool:
-        """Return whether hardly any stamp lies so much later than its SYNC, or before it; a coarse one hides
-        that."""
-        if self.coarse:
-            return True
-        off = self.lateness(residual) > self.match_ns or residual < -self.match_ns
-        return off and self.residuals.is_rare(residual)
+    def lies_apart(self, residual: int) -> bool:
+        """Return whether a stamp lies further off its SYNC, or before it, than most lie from one another."""
+        return self.residuals.lies_apart(residual, MATCH_NS + self.resolution)
 
     def lateness(self, residual: int) -> int:
         """By how much a stamp with this residual is later than the earliest ones."""

@@ -5,15 +5,13 @@
     stamps          :d1                   :d2 :d3 of one instant, or d2 alone, if a mailbox had room for one
     by its stamp    1                     3        d2 lies on the SYNC behind the one that it answers
 
-So a reading that lies off a SYNC, and none on those before, may be of one of these. Jitter makes such
-readings too, but not rarely, and not by so much: those are doubted that lie further off than most, once one
-has lain off by more than any before, or two SYNCs have one stamp.
+So where a SYNC has no reading, that of the next one may be its own: if it lies off its SYNC, further than
+most lie from one another, and if another one tells the same or lies on that SYNC too. All these are in doubt.
 """
 
 from typing import Final
 
 from servobench.drivers.timebase import Duration
-from servobench.drivers.wire.frame_port import EchoBasis
 from servobench.hil.loop.attribution import Question
 from servobench.hil.loop.clock_question import ClockQuestion
 from servobench.hil.loop.drive_stamps import DriveStamps
@@ -21,12 +19,10 @@ from servobench.hil.loop.suspects import Suspect
 from servobench.hil.loop.syncs import SURPLUS, SyncLog, SyncMark
 
 EXPECTED_FOR: Final = 1000
-"""Readings for which a drive that stood still is expected to do so again,"""
-JITTER_PARTS: Final = 4
-"""if it was off by more than such a part of a period: jitter is less, and one that stands still for longer
-than a period acts at any phase,"""
+"""Readings for which a drive that stood still is expected to do so again, where stamps are so coarse that
+they hide it."""
 LONGEST: Final = 10
-"""and SYNCs for which it stands still at the most."""
+"""SYNCs for which it stands still at the most."""
 
 
 class LateDrive:
@@ -43,45 +39,52 @@ class LateDrive:
     ) -> None:
         """``error_ns``: of a reading of uncertain place."""
         self._syncs, self._stamps, self._case = syncs, stamps, case
-        self._question, self._error_ns = question, error_ns
-        self._jitter_most = period // JITTER_PARTS
-        self._may_wait = syncs.basis is EchoBasis.NONE
+        self._question, self._error_ns, self._half = question, error_ns, period // 2
         self._expected = 0
         """Readings left for which it is expected."""
 
     def doubts(self, mark: SyncMark, residual: int) -> bool:
         """Return whether a reading that lies on the SYNC of ``mark`` may be of one before that has none; the
         rows of those are in doubt then."""
-        if self._expected == 0:
+        self._expected -= self._expected > 0
+        if not (before := self._without_reading(mark)):
             return False
-        self._expected -= 1
-        return self._stamps.is_rarely_off(residual) and self._doubt_before(mark)
+        coarse = self._stamps.coarse
+        if not (self._expected > 0 if coarse else self._stamps.lies_apart(residual)):
+            return False
+        self._doubt(before)
+        return True
 
-    def copied(self, mark: SyncMark, residual: int) -> None:
-        """Take note that the SYNC of ``mark`` has a reading with this residual, and another one tells the
-        same: it came twice, or both were sampled at one instant."""
-        if self._stamps.is_rarely_off(residual) and self._doubt_before(mark):
-            self._question.doubt(mark.sequence, self._error_ns)
-            self._note(residual)
+    def copied(self, mark: SyncMark, delay: int) -> None:
+        """Take note that the SYNC of ``mark`` has a reading, and one that came a ``delay`` after it tells the
+        same: it came twice, or behind those of the SYNCs before, sampled at one instant."""
+        delays, waited = self._case.delays, self._half * len(self._without_reading(mark))
+        if delay <= delays.high + delays.slack() + waited:
+            self._have_one_sync(mark)
 
     def acquitted(self, suspects: list[Suspect]) -> None:
-        """Take note that the clock was not set: ``suspects`` whose stamps lie further off than any before are
-        of a drive that was late."""
-        for mark, residual in self._case.note_residuals(suspects):
-            self._note(residual)
-            self._doubt_before(mark)
+        """Take note that the clock was not set: ``suspects`` whose stamps lie further off than any before, or
+        on a SYNC that has one, are of a drive that was late."""
+        for suspect in suspects:
+            mark = self._syncs.nearest(self._stamps.clock.place(suspect.device_ns))
+            if mark is not None and (suspect.second or suspect.twice):
+                self._have_one_sync(mark)
+        for mark in self._case.note_residuals(suspects):
+            self._doubt(self._without_reading(mark))
 
-    def _note(self, residual: int) -> None:
-        """Where no echo tells what SYNCs of this host waited in front of the bus, nothing tells that from a
-        drive that was late."""
-        shown = self._syncs.of_another or not self._may_wait
-        if shown and abs(residual) > self._jitter_most:
+    def _have_one_sync(self, mark: SyncMark) -> None:
+        """Two readings lie on the SYNC of ``mark``: one may be of a SYNC before."""
+        if before := self._without_reading(mark):
+            self._doubt([*before, mark])
             self._expected = EXPECTED_FOR
 
-    def _doubt_before(self, mark: SyncMark) -> bool:
-        """Doubt the rows of the SYNCs just before ``mark`` that have no reading; return whether there are
-        any."""
-        marks, found = self._syncs.marks, False
+    def _doubt(self, marks: list[SyncMark]) -> None:
+        for mark in marks:
+            self._question.doubt(mark.sequence, self._error_ns)
+
+    def _without_reading(self, mark: SyncMark) -> list[SyncMark]:
+        """The SYNCs of cycles just before ``mark`` that have no reading."""
+        marks, found = self._syncs.marks, list[SyncMark]()
         last = mark.number - 1 - marks[0].number
         for place in range(last, max(-1, last - LONGEST), -1):
             before = marks[place]
@@ -90,6 +93,5 @@ class LateDrive:
             if before.number in self._case.stamps:
                 break
             if before.sequence != SURPLUS:
-                self._question.doubt(before.sequence, self._error_ns)
-                found = True
+                found.append(before)
         return found

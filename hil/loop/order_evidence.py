@@ -55,9 +55,14 @@ class OrderEvidence:
         self.begin(self._age)
 
     def add(self, received_at: Instant) -> int:
-        """Take a reading; number of the SYNC that it answers with lag 0. 0: it is the second one of that."""
+        """Take a reading; number of the SYNC that it answers with lag 0. 0: it is the second one of that. If
+        the first came too soon for it, that may be another's that was held up, and is forgotten."""
         mark = self._syncs.nearest(Instant(received_at - self._age))
-        if mark is None or mark.on_bus_at is None or (self._places and mark.place <= self._places[-1]):
+        if mark is None or mark.on_bus_at is None:
+            return 0
+        if self._places and mark.place <= self._places[-1]:
+            if mark.place == self._places[-1] and self._came_at[-1] - mark.on_bus_at < self._soonest:
+                del self._places[-1], self._came_at[-1]
             return 0
         self._places.append(mark.place)
         self._came_at.append(received_at)

@@ -243,11 +243,14 @@ class Residuals:
         extremes = self._extremes
         return min(extremes.high - extremes.low, GAPS // 4 * extremes.slack())
 
-    def is_rare(self, residual: int) -> bool:
-        """Return whether few of the last ones were as large, or as small."""
-        larger = sum(other >= residual for other in self._recent)
-        smaller = sum(other <= residual for other in self._recent)
-        return min(larger, smaller) <= CLUSTERED // RARE
+    def lies_apart(self, residual: int, least_ns: int) -> bool:
+        """Return whether it lies further from most of the last ones than these from one another, and than
+        ``least_ns``."""
+        ordered = sorted(self._recent)
+        rare = len(ordered) // RARE
+        low, high = ordered[rare], ordered[-1 - rare]
+        apart_ns = max(least_ns, high - low)
+        return not low - apart_ns <= residual <= high + apart_ns
 
     def learn(self, residuals: Sequence[int], unseen_ns: int, *, anew: bool = True) -> None:
         """Take these for all that have been seen; see :meth:`add`. ``anew``: or else they lie about another

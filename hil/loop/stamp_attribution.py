@@ -33,7 +33,7 @@ from servobench.hil.loop.late_drive import LateDrive
 from servobench.hil.loop.period_doubt import PeriodDoubt, Placing
 from servobench.hil.loop.residuals import DelayExtremes
 from servobench.hil.loop.samples import Sample
-from servobench.hil.loop.suspects import Line, Suspect
+from servobench.hil.loop.suspects import Line, Suspect, note_copy
 from servobench.hil.loop.syncs import REMEMBERED, STAMPED_LATE, SURPLUS, SyncLog, SyncMark
 
 REVOKED: Final = 12
@@ -118,7 +118,7 @@ class StampAttribution:
         fits = self.stamps.fits(residual)
         known = self._case.stamps.get(mark.number) if fits else None
         if known == device_ns and self._tells_again(reading):
-            self._late.copied(mark, residual)
+            self._late.copied(mark, reading.received_at - mark.on_bus_at)
             self.health.duplicates += 1
             self._case.twice += 1
             return None
@@ -212,9 +212,9 @@ class StampAttribution:
         self.doubt.proved = self.doubt.proved and all_proved
         self.question.cleared = self.doubt.proved and not self.doubt.open
 
-    def _exonerate(self, placed: list[tuple[Suspect, SyncMark]]) -> bool:
-        """Suspects that lie where they were placed, alone there, are certain after all; whether all do. None
-        is where stamps lie as far from their SYNCs as these from one another."""
+    def _exonerate(self, placed: list[tuple[Suspect, SyncMark]], *, runs_on: bool = True) -> bool:
+        """Suspects that lie where they were placed are certain after all; whether all do. None is if stamps
+        lie as far from SYNCs as these from one another, nor in a row in doubt if the clock ``runs_on``."""
         guesses = [suspect.guess for suspect in self._suspects]
         stamped_ns = self.stamps.near_ns
         proved = 0
@@ -222,7 +222,8 @@ class StampAttribution:
             delay = suspect.received_at - (mark.on_bus_at or 0)
             if not suspect.second:  # wherever it was placed meanwhile: one with its stamp is a copy
                 self._case.answer(mark, suspect.device_ns)
-            alone = stamped_ns < 2 * self._half and guesses.count(suspect.guess) == 1
+            others = runs_on and self.question.doubts(suspect.guess)
+            alone = stamped_ns < 2 * self._half and guesses.count(suspect.guess) == 1 and not others
             late_by = self.clock.place(suspect.device_ns) - (mark.on_bus_at or 0)
             if alone and suspect.guess == mark.sequence and not self._late.doubts(mark, late_by):
                 late = max(self.stamps.match_ns, self._case.hidden_ns(delay))
@@ -257,7 +258,7 @@ class StampAttribution:
     ) -> Sample | None:
         """A reading that puts the question, or comes while it is open, on or near the SYNC of ``mark``."""
         suspects = self._suspects
-        if any(suspect.is_copied_by(reading) for suspect in suspects):
+        if note_copy(suspects, reading):
             self.health.duplicates += 1
             return None
         reach_ns = self.stamps.near_ns - self.clock.error_ns
@@ -286,7 +287,7 @@ class StampAttribution:
     def _revoke(self) -> None:
         """The last placements may have been wrong already: their SYNCs are free again."""
         for sample in self._recent:
-            mark = self._syncs.last_of(sample.sequence)
+            mark = None if self.question.doubts(sample.sequence) else self._syncs.last_of(sample.sequence)
             if mark is not None and (stamp := self._case.stamps.pop(mark.number, None)) is not None:
                 self._case.revoked.append((mark, stamp))
                 self.question.doubt(mark.sequence, self.doubtful_error_ns)
@@ -353,7 +354,7 @@ class StampAttribution:
         if not steps:
             self._late.acquitted(self._suspects)
             self._case.delays = DelayExtremes()
-        all_proved = self._exonerate(self._case.alike(placed) if steps else placed)
+        all_proved = self._exonerate(self._case.alike(placed) if steps else placed, runs_on=not steps)
         self._clear(all_proved and not (steps and self._case.revoked))
         (self._close if steps else self._acquit)()
         self._case.twice = 0

@@ -37,6 +37,8 @@ class Suspect:
         """True if it lies on a SYNC that has a reading already,"""
         self.repeats = known == device_ns
         """with the same stamp, as a clock makes some again that is set back."""
+        self.twice = False
+        """True if another reading told the same since."""
         self.early = early
         """True if it would have come before its SYNC if the clock was not set."""
         self.guess = SURPLUS
@@ -47,6 +49,15 @@ class Suspect:
     def is_copied_by(self, reading: Reading) -> bool:
         """Return whether ``reading`` tells the same: a clock that is set back makes its stamps again."""
         return reading.device_time_ns == self.device_ns and reading.velocity_rad_s == self._velocity_rad_s
+
+
+def note_copy(suspects: list[Suspect], reading: Reading) -> bool:
+    """Return whether ``reading`` tells the same as one of the ``suspects``, and take note of it there."""
+    for suspect in suspects:
+        if suspect.is_copied_by(reading):
+            suspect.twice = True
+            return True
+    return False
 
 
 class Line(NamedTuple):

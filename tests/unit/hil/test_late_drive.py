@@ -3,14 +3,13 @@
 import pytest
 
 from servobench.drivers.timebase import Instant
-from servobench.hil.loop.late_drive import EXPECTED_FOR
 from servobench.hil.loop.samples import Dropout, DropoutCause, Sample
 from tests.unit.hil.loop_fakes import PERIOD
 from tests.unit.hil.test_clock_steps import DOUBTFUL, Stepping
 from tests.unit.hil.test_stamp_attribution import DELAY
 
 LATE = 300_000
-"""More than any stamp was until it is seen once, and more than a SYNC so far off is told by."""
+"""More than any stamp was until it is seen once."""
 AGAIN = 120_000
 USUAL = 12
 """Cycles after which a question is answered."""
@@ -55,15 +54,6 @@ def stood(unanswered: int = 1) -> tuple[Standing, int]:
     assert not rig.stamped.question.open
     assert rig.stamped.health.steps == 0
     return rig, number
-
-
-def stood_long_ago() -> Standing:
-    """The same, of so long ago that it is expected no more; now and then it hears a SYNC late."""
-    rig, _ = stood()
-    for _ in range(EXPECTED_FOR // 50 + 1):
-        rig.late(AGAIN, unanswered=0)
-        rig.cycles(50)
-    return rig
 
 
 def test_a_first_late_reading_may_be_of_the_sync_before_that_has_none() -> None:
@@ -111,19 +101,32 @@ def test_lateness_that_is_not_rare_is_jitter() -> None:
     assert rig.certain(number + 1)
 
 
-def test_a_late_reading_of_a_drive_that_stood_still_long_ago_is_certain() -> None:
-    rig = stood_long_ago()
-    number = rig.late(AGAIN)
-    assert rig.lost(number)
+@pytest.mark.parametrize("late", [0, AGAIN])
+@pytest.mark.parametrize("unanswered", [0, 1])
+def test_a_copy_may_be_of_the_sync_before_sampled_at_the_same_instant(unanswered: int, late: int) -> None:
+    """Of a drive that has a queue; a SYNC before that has its reading leaves the one that came twice."""
+    rig, _ = stood()
+    number = rig.late(late, unanswered)
+    assert rig.place(number + unanswered, late, DELAY + late + 200_000) is None
+    assert rig.stamped.health.duplicates == 1
+    assert rig.certain(number + unanswered) is (unanswered == 0)
+    assert rig.lost(number) is (unanswered == 0)
+
+
+def test_one_that_came_later_than_a_queue_takes_is_a_copy() -> None:
+    rig, _ = stood()
+    number = rig.late(0)
+    assert rig.place(number + 1, 0, DELAY + 2 * PERIOD) is None
     assert rig.certain(number + 1)
+    assert rig.lost(number)
 
 
 @pytest.mark.parametrize("unanswered", [0, 1])
-def test_a_copy_of_a_late_reading_may_be_of_its_instant(unanswered: int) -> None:
-    """Of a drive that has a queue; a SYNC before that has its reading leaves the one that came twice."""
-    rig = stood_long_ago()
-    number = rig.late(AGAIN, unanswered)
-    assert rig.place(number + unanswered, AGAIN, DELAY + AGAIN + 200_000) is None
-    assert rig.stamped.health.duplicates == 1
-    assert rig.certain(number + unanswered) is (unanswered == 0)
+def test_two_stamps_of_one_sync_may_be_of_the_one_before(unanswered: int) -> None:
+    rig = Standing()
+    rig.cycles(40)
+    number = rig.late(0, unanswered)
+    rig.place(number + unanswered, 2_000, DELAY + 200_000)
+    rig.cycles()
+    assert not rig.certain(number + unanswered)
     assert rig.lost(number) is (unanswered == 0)

@@ -25,3 +25,18 @@ def test_a_lag_for_which_half_come_too_soon_is_possible_yet(too_soon: int, lag: 
         delay = PERIOD + SOON if number <= too_soon else AGE
         assert evidence.add(Instant(number * PERIOD + delay)) == number
     assert evidence.verdict(-1, 1, deviation_ns=PERIOD // 8, untidy=False) == lag
+
+
+def test_two_readings_of_a_sync_say_nothing() -> None:
+    """One is held up until the next SYNC has almost its own: neither way to count them is the less likely."""
+    log, held = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.BUS), 8
+    evidence = OrderEvidence(log, TRANSIT)
+    evidence.begin(2 * TRANSIT)
+    for number in range(1, READINGS + 1):
+        log.heard(number, Instant(number * PERIOD))
+        if number == held + 1:
+            assert evidence.add(Instant(number * PERIOD - TRANSIT)) == number
+        came = evidence.add(Instant(number * PERIOD + 2 * TRANSIT))
+        assert came == (0 if number == held + 1 else number)
+    assert set(evidence.delays(0)) == {2 * TRANSIT}
+    assert len(evidence) == READINGS - 1
