@@ -1,5 +1,6 @@
 """Finds when a command acts: torque switched to and fro at a shifting instant of the cycle."""
 
+from statistics import median
 from typing import Final, NamedTuple
 
 from servobench.drivers.cia402.objects402 import Object
@@ -25,6 +26,10 @@ _LONGEST_PART: Final = 0.7
 """Longest time from a switch to its SYNC, in periods."""
 _LONGEST_NS: Final = 700_000.0
 """Longest time from a switch to the SYNC that shows it; later SYNCs show the rest of the answer."""
+_BEGUN_PART: Final = 0.05
+"""More of the step in the youngest answers: its begin is not among them."""
+_BEHIND_PART: Final = 0.4
+"""Of a period, in which a switch then follows a SYNC whose readings are still to be sampled."""
 _SETTLED_LAGS: Final = 2.0
 """After half of the response: there 93 % of a first-order response have come."""
 _LOST_PART: Final = 0.3
@@ -90,6 +95,9 @@ class CommandProbe:
         """Responses at the first SYNC after a switch, before it is repeated."""
         self.commands = 0
         """Switches old enough at that SYNC to be judged."""
+        self.hidden_us = 0.0
+        """Ages up to this are not seen, as a command and its SYNC are not on the bus at once; 0: no effect
+        began there."""
         self.commands_lost = 0
         self._held_nm: float | None = None
         """Torque at the end of the last hold; None if unknown."""
@@ -110,10 +118,32 @@ class CommandProbe:
             before, torque = torque, -torque
             lead = shortest + (longest - shortest) * ((number * _GOLDEN) % 1.0)
             due = self._hold(due, torque, 1.0 - lead / self._period, _HOLD_CYCLES, before)
+        if _begun(self.answers):
+            self._look_behind(due, torque)
         self._send(0.0, Instant(self._session.clock_now + self._period))
 
-    def _hold(self, due: Instant, torque: float, part: float, cycles: int, before: float | None) -> Instant:
-        """Switch to ``torque`` in the first cycle; it is repeated, to make up for a lost command."""
+    def _look_behind(self, due: Instant, torque: float) -> None:
+        """Switch behind the SYNC too, for a drive that samples later than it, or acts faster than a command
+        can be sent in front of it."""
+        self.hidden_us = min(age_us for age_us, _part in self.answers)
+        for number in range(switches(self._session)):
+            before, torque = torque, -torque
+            part = _BEHIND_PART * ((number * _GOLDEN) % 1.0)
+            due = self._hold(due, torque, part, _HOLD_CYCLES, before, behind=True)
+
+    def _hold(
+        self,
+        due: Instant,
+        torque: float,
+        part: float,
+        cycles: int,
+        before: float | None,
+        behind: bool = False,
+    ) -> Instant:
+        """Switch to ``torque`` in the first cycle; it is repeated, to make up for a lost command.
+
+        ``behind``: the readings of that cycle's SYNC, from before the switch, may show it.
+        """
         sent_at: Instant | None = None
         held_nm: float | None = None
         late = False
@@ -125,13 +155,20 @@ class CommandProbe:
             self.cycles += 1
             command_at = Instant(max(due + round(part * self._period), sync_at))
             self._network.pump(command_at)
-            shown = self._shown(sync_at)
-            if before is not None and sent_at is not None and shown is not None and not late:
-                held_nm = shown
-                self._answer(sync_at, sent_at, shown, before, torque, cycle)
+            answered = self._answered(sync_at)
             at = self._send(torque, Instant(command_at + self._period))
-            sent_at = at if sent_at is None else sent_at
             due = Instant(max(due + self._period, self._session.clock_now))
+            if not answered:  # a drive with a task for its PDOs answers later than this
+                self._network.pump(due)
+                answered = self._answered(sync_at)
+            self.missing.append(not answered)
+            shown_nm, told_at = self._drive.torque_shown
+            told = told_at - sync_at >= self._latency
+            may_show = behind or sent_at is not None
+            sent_at = at if sent_at is None else sent_at
+            if before is not None and sent_at is not None and may_show and told and not late:
+                held_nm = shown_nm
+                self._answer(sync_at, sent_at, shown_nm, before, torque, cycle)
             self._port.check()
         self._judge_hold(held_nm, before, torque)
         return due
@@ -152,14 +189,12 @@ class CommandProbe:
         if self._heard == self._ignored == _IN_A_ROW:
             raise self._drive.watch.deaf()
 
-    def _shown(self, sync_at: Instant) -> float | None:
-        """Return the torque in response to the SYNC; None if it was lost or is late. Counts the readings."""
+    def _answered(self, sync_at: Instant) -> bool:
+        """Return True if a reading of the SYNC came; keep its delay."""
         delays = [reading.received_at - sync_at - self._latency for reading in self._drive.take_readings()]
         answers = [delay for delay in delays if delay >= 0]
         self.delays_us += [delay / 1e3 for delay in answers]
-        self.missing.append(not answers)
-        torque_nm, told_at = self._drive.torque_shown
-        return torque_nm if told_at - sync_at >= self._latency else None
+        return bool(answers)
 
     def _answer(
         self, sync_at: Instant, sent_at: Instant, shown: float, before: float, torque: float, cycle: int
@@ -181,3 +216,9 @@ class CommandProbe:
         judged = [part for age_us, part in self.firsts if age_us > old_us]
         self.commands = len(judged)
         self.commands_lost = sum(part < _LOST_PART for part in judged)
+
+
+def _begun(answers: list[tuple[float, float]]) -> bool:
+    """Return True if the youngest answers, (age, part of the step), show it already."""
+    youngest = sorted(answers)[: max(5, len(answers) // 100)]
+    return len(youngest) >= 5 and median(part for _age_us, part in youngest) > _BEGUN_PART

@@ -304,8 +304,9 @@ class Resonance(NamedTuple):
 def closer_lines_hz(near_hz: float, block_s: float, highest_hz: float) -> Array:
     """Return lines (k,) around a resonance, whole multiples of 1/block, as far as they can be excited."""
     low, high = _BELOW * near_hz * block_s, min(_ABOVE * near_hz, highest_hz) * block_s
-    step = max(1.0, math.ceil((high - low) / _LINES_MAX))
-    return np.asarray(np.arange(math.ceil(low), high, step) / block_s)
+    every = np.arange(math.ceil(low), high)
+    spread = np.linspace(0, len(every) - 1, min(_LINES_MAX, len(every)))
+    return np.asarray(every[np.round(spread).astype(int)] / block_s)
 
 
 def resonance_of(measured: FrequencyResponse, period_s: float) -> Resonance | None:

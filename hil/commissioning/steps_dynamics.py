@@ -276,17 +276,23 @@ class Delays(Step):
                 "cyclic synchronous torque has no slope; the steepest that the drive takes is set",
             ) from error
         findings = session.found
-        findings.current_bandwidth_hz = _bandwidth_hz(session, lag)
+        findings.current_bandwidth_hz = None if probe.hidden_us else _bandwidth_hz(session, lag)
         probe.judge_commands(lag)
         findings.effect_delay_us, findings.torque_lag_us = lag.half_us, lag.lag_us
         lost, commands_lost = sum(probe.missing), probe.commands_lost
         in_a_row = runs_of(np.array(probe.missing, dtype=bool))
         _keep_readings(session, outcome, readings, in_a_row, lost, probe.cycles, lag.half_us, commands_lost)
-        outcome.measured("delay of a command", lag.half_us, "us")
-        outcome.say(
-            f"a command shows half of its effect {lag.half_us:.0f} us after it was sent: "
-            f"{lag.dead_us:.0f} us of dead time and a lag of {lag.lag_us:.0f} us"
-        )
+        told = f"a command shows half of its effect {lag.half_us:.0f} us after it was sent"
+        if probe.hidden_us:
+            about_us = 0.5 * probe.hidden_us
+            outcome.measured("delay of a command", lag.half_us, "us", about_us)
+            outcome.say(
+                f"{told}, give or take {about_us:.0f} us: the drive samples later than the SYNC, or acts "
+                "within a command's time on the bus, so its own lag cannot be told"
+            )
+        else:
+            outcome.measured("delay of a command", lag.half_us, "us")
+            outcome.say(f"{told}: {lag.dead_us:.0f} us of dead time and a lag of {lag.lag_us:.0f} us")
         if probe.slope is not None and probe.slope.takes_us > _SLOPE_PART * lag.lag_us:
             outcome.say(f"most of it is the torque slope 6087h: {probe.slope.told}")
         if findings.current_bandwidth_hz is not None:

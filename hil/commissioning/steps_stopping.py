@@ -386,9 +386,10 @@ def _measured(session: Session, began_rad_s: float, readings: list[Reading]) -> 
     first, last = stopping[0], stopping[-1]
     period_s = session.found.period / NS_PER_S
     if _rests(session, readings):
-        near = _REST_UNITS * session.position_rad
-        moving = [each for each in stopping if abs(each.position_rad - last.position_rad) > near]
-        time_s = (moving[-1].received_at - first.received_at) / NS_PER_S if moving else 0.0
+        way_rad = [abs(each.position_rad - first.position_rad) for each in stopping]
+        there_rad = max(way_rad) - _REST_UNITS * session.position_rad  # a coupled load swings back from there
+        arrived = next(place for place, rad in enumerate(way_rad) if rad >= there_rad)
+        time_s = (stopping[arrived - 1].received_at - first.received_at) / NS_PER_S if arrived else 0.0
         return SlowStop(began_rad_s, time_s + period_s)
     half = stopping[len(stopping) // 2 :]
     passed_s = (half[-1].received_at - half[0].received_at) / NS_PER_S

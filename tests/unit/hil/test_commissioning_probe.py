@@ -287,7 +287,7 @@ def test_the_leads_of_the_switches_fill_the_cycle(
 ) -> None:
     """By the golden section, from 1.25 frames of a command on; longer where such a frame takes long."""
     period = Duration(period_us * NS_PER_US)
-    bus = Bus(period, bitrate)
+    bus = Bus(period, bitrate, dead_us=3e8 / bitrate)
     session = bus.session()
     assert switches(session) == count
     CommandProbe(session).run()
@@ -320,6 +320,18 @@ def test_a_bus_that_is_slow_switches_within_two_shortest_leads() -> None:
     leads = [bus.syncs[place] + period - bus.sent[place][0] for place in range(2, 2002, 4)]
     assert min(leads) == pytest.approx(shortest, abs=2.0)
     assert max(leads) == pytest.approx(2.0 * shortest, rel=2e-3)
+
+
+def test_a_drive_that_is_faster_than_a_command_before_its_sync_is_timed_as_well_as_can_be() -> None:
+    """At 125 kbit/s the youngest answer shows the whole step, and none comes behind a SYNC."""
+    bus = Bus(Duration(20 * NS_PER_MS), 125_000)
+    session, outcome = timed(bus)
+    timing = session.timing()
+    hidden_us = 1e-3 * (1.25 * timing.command_latency + timing.sync_latency)
+    assert len(bus.syncs) == 2 + 4 * 150 + 4 * 150
+    assert session.found.effect_delay_us == pytest.approx(0.5 * hidden_us, abs=0.5 * hidden_us)
+    assert session.found.current_bandwidth_hz is None
+    assert f"give or take {0.5 * hidden_us:.0f} us" in outcome.lines[1]
 
 
 def answers(bus: Bus) -> int:

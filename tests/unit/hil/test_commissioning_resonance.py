@@ -83,11 +83,19 @@ def test_lines_without_coherence_say_nothing() -> None:
     assert resonance_of(exact_response(coupling(J, 90.0, 2.0), lines, 1e3), PERIOD_S) is None
 
 
-@pytest.mark.parametrize(("highest", "last"), [(400.0, 116.0), (100.0, 98.0)])
+@pytest.mark.parametrize(("highest", "last"), [(400.0, 116.0), (100.0, 99.0)])
 def test_the_lines_of_a_closer_look_end_where_they_cannot_be_excited(highest: float, last: float) -> None:
     lines = closer_lines_hz(90.0, 1.0, highest)
     assert (lines[0], lines[-1]) == (68.0, last)
-    assert len(lines) <= 20
+    assert len(lines) == 20
+
+
+def test_a_closer_look_has_as_many_lines_at_every_frequency() -> None:
+    """Twice as far apart as whole hertz, the lines near 37 Hz were too few for a fit."""
+    for near_hz in range(37, 300):
+        lines = closer_lines_hz(float(near_hz), 1.0, 400.0)
+        assert len(lines) == 20
+        assert np.all(np.diff(lines) >= 1.0)
 
 
 SEED = 7
