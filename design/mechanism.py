@@ -162,6 +162,8 @@ class Switches:
     """In that time; the contact changes twice in each."""
     filter_s: float = 0.0
     """Filter of the drive's inputs: a change that lasts shorter is not seen."""
+    swapped: bool = False
+    """Each limit switch is wired to the input of the other."""
 
 
 @dataclass(frozen=True, slots=True)

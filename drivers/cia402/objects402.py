@@ -158,6 +158,8 @@ class Object(IntEnum):
     """Per thousand of 0x6076, as the one above."""
     SUPPORTED_HOMING_METHODS = 0x60E3
     """Sub 1 and on: one method each."""
+    ADDITIONAL_POSITION = 0x60E4
+    """Sub 1: of a second encoder."""
     COMMUTATION_ANGLE = 0x60EA
     """65536 of an electrical turn."""
     POSITIONING_OPTION_CODE = 0x60F2

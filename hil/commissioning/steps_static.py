@@ -52,12 +52,16 @@ _RECORDS: Final = (
     0x1029,
     0x1200,
     *range(0x1400, 0x1B00),
-    0x607D,
+    Object.POSITION_RANGE_LIMIT,
+    Object.SOFTWARE_POSITION_LIMIT,
     0x608F,
     *range(0x6090, 0x6098),
     0x6099,
-    0x60C2,
-    0x60E3,
+    Object.PROFILE_JERK,
+    Object.INTERPOLATION_TIME_PERIOD,
+    Object.TOUCH_PROBE_SOURCE,
+    Object.SUPPORTED_HOMING_METHODS,
+    Object.ADDITIONAL_POSITION,
 )
 _PROFILE: Final = (
     *(

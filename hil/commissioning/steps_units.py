@@ -17,6 +17,7 @@ from servobench.hil.commissioning.findings import StepFailed, StepOutcome, refus
 from servobench.hil.commissioning.identify import SpeedRatio, plain_ratio, ratio_of
 from servobench.hil.commissioning.nameplate import nameplate_wins
 from servobench.hil.commissioning.ramps import ramps_told, steepen
+from servobench.hil.commissioning.second_encoder import compare_encoders, has_second_encoder
 from servobench.hil.commissioning.sequence import Step
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_mechanics import identified
@@ -152,15 +153,15 @@ def _compared(session: Session, turns: float, error: float) -> tuple[list[Record
     return recordings, ratio
 
 
-def pulses(session: Session, far_turns: float) -> list[Recording]:
-    """Make a pulse forwards and one backwards, each from rest to rest. Raises StepFailed if nothing moves."""
+def pulses(session: Session, far_turns: float, ways: tuple[float, ...] = (1.0, -1.0)) -> list[Recording]:
+    """Make a pulse each way, each from rest to rest. Raises StepFailed if nothing moves."""
     far = min(far_turns * math.tau, 0.4 * session.limits.travel_rad)
     near = max(_NEAR_TURNS * math.tau, _NEAR_UNITS * session.position_rad)
-    recordings = _both_ways(session, near, far)
+    recordings = _both_ways(session, near, far, ways)
     paths = [abs(float(each.position[-1] - each.position[0])) for each in recordings]
     if session.torque_mode() is None and min(paths) < 0.5 * far and steepen(session.found):
         session.configure()
-        recordings = _both_ways(session, near, far)
+        recordings = _both_ways(session, near, far, ways)
         paths = [abs(float(each.position[-1] - each.position[0])) for each in recordings]
     if session.torque_mode() is None and min(paths) < near:
         ramps = ramps_told(session.found)
@@ -172,12 +173,12 @@ def pulses(session: Session, far_turns: float) -> list[Recording]:
     return recordings
 
 
-def _both_ways(session: Session, near: float, far: float) -> list[Recording]:
+def _both_ways(session: Session, near: float, far: float, ways: tuple[float, ...]) -> list[Recording]:
     limits = session.limits
     rise = min(session.rated_torque_nm / _RATED_S, _RISE_SHARE * limits.torque_slew_nm_s)
     recordings = []
     with session.exercising() as exerciser:
-        for direction in (1.0, -1.0):
+        for direction in ways:
             if exerciser.port.quantity is not Quantity.TORQUE:
                 recordings.append(_nudges(exerciser, direction, far))
                 refuse_losses(recordings[-1].lost, recordings[-1].cycles)
@@ -261,6 +262,8 @@ class MotionUnits(Step):
             )
             session.overridden(velocity_rad_s=told.velocity_rad_s / factor)
             session.configure()
+        if has_second_encoder(session):
+            compare_encoders(session, outcome, lambda way: pulses(session, _LONG_PULSE_TURNS, (way,)))
         if session.torque_mode() is not None:
             self._rough(session, recordings, outcome)
 

@@ -73,13 +73,16 @@ class SetPointTable(Section):
     notch: NotchTable | None = Field(default=None, description="the table [set_point.notch]")
     torque_slope: bool = False
     """Torques of cst are reached by the slope 6087h, as it is when the drive is enabled, and not at once."""
+    holds_stale: bool = False
+    """csp begins where the shaft is, and a 607Ah from before is not followed."""
 
     @property
     def parameters(self) -> SetPointPath:
         """The path of the simulated drive."""
         notch = None if self.notch is None else self.notch.notch
         kind = Interpolation(self.interpolation)
-        return SetPointPath(kind, self.filter_hz, self.torque_filter_hz, notch, self.torque_slope)
+        slope, holds = self.torque_slope, self.holds_stale
+        return SetPointPath(kind, self.filter_hz, self.torque_filter_hz, notch, slope, holds)
 
     @property
     def torque_parts(self) -> list[str]:

@@ -154,6 +154,8 @@ class SwitchesTable(Section):
     """In that time; the contact changes twice in each, at instants drawn from the bench's seed."""
     filter_us: float = Field(default=0.0, ge=0.0, le=50_000.0)
     """Filter of the drive's inputs: a change that lasts shorter is not seen."""
+    swapped: bool = False
+    """Each limit switch is wired to the input of the other, as by a mistake."""
 
     @model_validator(mode="after")
     def _check_places(self) -> Self:
@@ -181,6 +183,7 @@ class SwitchesTable(Section):
             self.bounce_us * 1e-6,
             self.bounces,
             self.filter_us * 1e-6,
+            self.swapped,
         )
 
 

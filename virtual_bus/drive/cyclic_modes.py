@@ -183,8 +183,9 @@ class CyclicSynchronousPosition(_CyclicMode):
         axis = self.axis
         axis.begin(feeds_torque=True)
         self._line.stand(axis.count)
-        self._lags = False
-        self.take_position()
+        self._lags = self._cut = False
+        if not axis.path.holds_stale:
+            self.take_position()
 
     def take_position(self) -> None:
         axis, motion = self.axis, self.axis.motion

@@ -37,9 +37,8 @@ from servobench.virtual_bus.drive.user_units import UserUnits
 
 MACHINE: Final = 0x2110
 """Manufacturer-specific."""
-ADDITIONAL_POSITION: Final = 0x60E4
 ADDITIONAL_VELOCITY: Final = 0x60E5
-"""CiA 402-2; sub-index 1 of these and the next: of a second encoder."""
+"""CiA 402-2; sub-index 1 of this and the next: of a second encoder, as of 60E4h."""
 ADDITIONAL_FACTORS: Final = {
     0x60E6: (Object.POSITION_ENCODER_RESOLUTION, 1, "Additional position encoder resolution, increments"),
     0x60EB: (Object.POSITION_ENCODER_RESOLUTION, 2, "Additional position encoder resolution, revolutions"),
@@ -80,9 +79,11 @@ class SimulatedMachine:
         )
         self._inner = inner
         self._watched = inner.switches != 0
+        self._swapped = False
         self._counts = counts_per_revolution
         self._places: list[int] = [-_FAR, _FAR, 0, 0, 0]
         if mechanism is not None and mechanism.switches is not None:
+            self._swapped = mechanism.switches.swapped
             self._fit_switches(mechanism.switches)
         self.changed: Callable[[], None] = lambda: None
         """Called after every write of an input or a switch."""
@@ -105,10 +106,9 @@ class SimulatedMachine:
 
     def active(self, sensor: Sensor) -> bool:
         """Return True if a switch is active at the encoder's position."""
-        bit = 1 << sensor.value
-        if self.held & bit:
+        if self.held & 1 << sensor.value:
             return True
-        if not self.fitted & bit:
+        if not self.fitted & 1 << self._switch_at(sensor).value:
             return False
         if self._watched:
             return self._inner.switch_seen(sensor.value)
@@ -137,11 +137,19 @@ class SimulatedMachine:
         turn = math.floor(turns) + 1 if direction > 0 else math.ceil(turns) - 1
         return float(self._places[4] + turn * self._counts)
 
+    def _switch_at(self, sensor: Sensor) -> Sensor:
+        """The switch that is wired to an input."""
+        if not self._swapped or sensor is Sensor.HOME:
+            return sensor
+        return Sensor.NEGATIVE_LIMIT if sensor is Sensor.POSITIVE_LIMIT else Sensor.POSITIVE_LIMIT
+
     def _stretch(self, sensor: Sensor) -> tuple[float, float]:
+        """Where an input is active."""
         negative, positive, home_from, home_to, _ = self._places
-        if sensor is Sensor.NEGATIVE_LIMIT:
+        switch = self._switch_at(sensor)
+        if switch is Sensor.NEGATIVE_LIMIT:
             return -math.inf, negative + 1.0
-        if sensor is Sensor.POSITIVE_LIMIT:
+        if switch is Sensor.POSITIVE_LIMIT:
             return float(positive), math.inf
         return float(home_from), home_to + 1.0
 
@@ -207,7 +215,7 @@ class SimulatedMachine:
             return clipped(speed_rad_s * units.velocity_per_rad_s, 32)
 
         read_only, i32 = Access.READ_ONLY, DataType.INTEGER32
-        told = dictionary.add_array(ADDITIONAL_POSITION, "Additional position")
+        told = dictionary.add_array(Object.ADDITIONAL_POSITION, "Additional position")
         told.add(1, "Second encoder", i32, read_only, mappable=True, provider=position)
         told = dictionary.add_array(ADDITIONAL_VELOCITY, "Additional velocity")
         told.add(1, "Second encoder", i32, read_only, mappable=True, provider=velocity)

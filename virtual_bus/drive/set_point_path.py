@@ -46,6 +46,8 @@ class SetPointPath:
     """Behind that; None: none."""
     torque_slope: bool = False
     """Torques of cst are reached by 6087h, and not at once."""
+    holds_stale: bool = False
+    """csp begins where the shaft is, and stays there until 607Ah or 60B0h is written anew."""
 
 
 STRAIGHT = SetPointPath()

@@ -110,3 +110,32 @@ def test_a_home_over_a_bouncing_switch_is_elsewhere(method: int) -> None:
     assert found["clean"] == 0.0
     assert found["bounces"] < 0.011 * 2.0
     assert 0.003 * 2.0 < found["filter"] < (0.003 + 0.003 + 0.001) * 2.0
+
+
+@pytest.mark.parametrize("bounce_s", [0.0, 2e-3])
+@pytest.mark.parametrize(("way", "seen"), [(1, 0b01), (-1, 0b10)])
+def test_swapped_limit_switches_are_seen_at_each_others_inputs(way: int, seen: int, bounce_s: float) -> None:
+    """The drive asks the input of the way that it goes: it passes the end, and cannot come back."""
+    fitted = Switches(-1.0, 1.0, None, bounce_s, swapped=True)
+    bench = MotionBench(Mode.PROFILE_VELOCITY, motor=replace(LING, mechanism=Mechanism(switches=fitted)))
+    bench.profile(4.0, 200.0, 200.0)
+    bench.speed(way * 4.0)
+    bench.wait_until(lambda: way * bench.turns > 1.2, 2000)
+    assert bench.inputs & 0b11 == seen
+    assert not bench.statusword & LIMITED
+    bench.speed(-way * 4.0)
+    bench.wait_ms(300)
+    assert bench.statusword & LIMITED
+    assert way * bench.turns > 1.2
+
+
+def test_a_home_switch_is_not_swapped() -> None:
+    fitted = Switches(None, 1.0, (0.2, 0.5), swapped=True)
+    bench = MotionBench(Mode.PROFILE_VELOCITY, motor=replace(LING, mechanism=Mechanism(switches=fitted)))
+    assert bench.read(MACHINE, "B", SWITCHES) == 0b110
+    bench.profile(1.0, 200.0, 200.0)
+    bench.speed(1.0)
+    bench.wait_until(lambda: bench.turns > 0.35, 2000)
+    assert bench.inputs & 0b111 == 0b100
+    bench.wait_until(lambda: bench.turns > 1.1, 2000)
+    assert bench.inputs & 0b111 == 0b001

@@ -96,6 +96,15 @@ def test_a_move_goes_the_way_that_60f2h_says(option: int, ways: list[int]) -> No
         assert place(bench) == pytest.approx(target, abs=CLOSE)
 
 
+def test_a_shaft_that_is_pushed_beyond_its_target_does_not_go_round_to_it() -> None:
+    bench = ranged(Mode.PROFILE_POSITION)
+    bench.set(Object.POSITIONING_OPTION_CODE, "H", POSITIVE)
+    moved(bench, 180)
+    bench.set(0x2100, "i", -2000, 1)
+    bench.wait_until(lambda: place(bench) > 181, 100)
+    assert moved(bench, 180) == pytest.approx(0, abs=CLOSE)
+
+
 def test_of_two_ways_alike_the_shortest_is_the_positive_one() -> None:
     bench = ranged(Mode.PROFILE_POSITION)
     bench.set(Object.POSITIONING_OPTION_CODE, "H", SHORTEST)

@@ -103,6 +103,14 @@ def test_the_zero_impulse_is_captured_at_its_count(turns_s: float) -> None:
     assert (last - 0.25).is_integer()
 
 
+def test_a_probe_that_is_off_stores_nothing() -> None:
+    bench = turning()
+    bench.set(FUNCTION, "H", RISING)
+    bench.set(MACHINE, "B", 1, INPUTS)
+    assert status(bench) == 0
+    assert probed(bench, POSITIVE[0]) == 0.0
+
+
 @pytest.mark.parametrize("word", [0x0C, 0x0C00, 0x0C08])
 def test_a_reserved_source_is_refused(word: int) -> None:
     assert MotionBench(Mode.PROFILE_VELOCITY).write(FUNCTION, "H", word) == INVALID_VALUE

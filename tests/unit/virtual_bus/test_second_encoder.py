@@ -10,7 +10,7 @@ import pytest
 from servobench.design.mechanism import Coupling, Mechanism, PlacedLoad, Side
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode
-from servobench.virtual_bus.drive.machine import ADDITIONAL_FACTORS, ADDITIONAL_POSITION, ADDITIONAL_VELOCITY
+from servobench.virtual_bus.drive.machine import ADDITIONAL_FACTORS, ADDITIONAL_VELOCITY
 from tests.motors import LING
 from tests.unit.virtual_bus.motion_bench import COUNTS, MotionBench
 
@@ -26,7 +26,7 @@ def bench_of(encoder: Side, second: bool = True) -> MotionBench:
 
 def apart(bench: MotionBench) -> float:
     """The second encoder beyond the first, counts."""
-    return bench.read(ADDITIONAL_POSITION, "i", 1) - bench.read(Object.POSITION_ACTUAL_VALUE, "i")
+    return bench.read(Object.ADDITIONAL_POSITION, "i", 1) - bench.read(Object.POSITION_ACTUAL_VALUE, "i")
 
 
 @pytest.mark.parametrize(("encoder", "sign"), [(Side.MOTOR, -1.0), (Side.LOAD, 1.0)])
@@ -80,9 +80,11 @@ def test_its_factors_are_those_by_which_its_position_is_scaled() -> None:
     assert told == {0x60E6: COUNTS, 0x60EB: 1, 0x60E8: 5, 0x60ED: 2, 0x60E9: 3600, 0x60EE: 7}
     inner = bench.servo.drive.firmware.inner
     load_turns = inner.turns + (inner.angle_rad - inner.twist_rad) / math.tau
-    assert bench.read(ADDITIONAL_POSITION, "i", 1) == pytest.approx(load_turns * 2 / 5 * 3600 / 7, abs=1.0)
+    assert bench.read(Object.ADDITIONAL_POSITION, "i", 1) == pytest.approx(
+        load_turns * 2 / 5 * 3600 / 7, abs=1.0
+    )
     assert bench.write(0x60E6, "I", 1, 1) is not None, "it is what it is"
 
 
 def test_a_machine_with_one_encoder_has_no_second_position() -> None:
-    assert bench_of(Side.MOTOR, second=False).servo.dictionary.get(ADDITIONAL_POSITION, 1) is None
+    assert bench_of(Side.MOTOR, second=False).servo.dictionary.get(Object.ADDITIONAL_POSITION, 1) is None
