@@ -33,6 +33,8 @@ _LOOK_S: Final = 0.1
 """Before and behind a reversal: a load on a spring of 5 Hz has reversed in that time."""
 _REBOUND: Final = 0.1
 """Least speed behind a stop over that before it: a rubber buffer gives back 0.3 and more."""
+_SWING: Final = 0.5
+"""Of the speed one way, that the other way: nothing brings a shaft back to a stop that it came from."""
 _SUDDEN: Final = 3.0
 """The shaft was at half of its speed and above for so many times as long as the reversal takes, from half of
 it to half of the speed behind it; a sine is so for twice as long."""
@@ -94,10 +96,19 @@ def _stop_hit(time: Array, position: Array, speed: Array, torque: Array) -> int 
             by_torque = float(np.nansum(np.abs(torque[began : began + top]))) / float(before.max())
             needed = by_torque * 0.5 * (fast + back)
             pulled = abs(float(np.nansum(torque[left:gone])))
-            if left - came > _SUDDEN * (gone - left) and pulled <= _OWN_SHARE * needed:
+            sudden = left - came > _SUDDEN * (gone - left) and pulled <= _OWN_SHARE * needed
+            if sudden and not _swings(position[at : at + look], speed[at : at + look]):
                 return int(at)
         began = int(at)
     return None
+
+
+def _swings(position: Array, speed: Array) -> bool:
+    """Return True of a rotor behind a reversal that goes to and fro where it is: in the play of a coupling
+    whose load has come to rest."""
+    back = math.copysign(1.0, float(speed[int(np.argmax(np.abs(speed)))])) * speed
+    near = float(np.ptp(position)) < _NEAREST * math.tau
+    return near and -float(back.min()) >= _SWING * float(back.max())
 
 
 def _driven(

@@ -62,8 +62,13 @@ _SMALLER: Final = 0.5
 """Share of the torque in the second look at a resonance: play shows as another frequency."""
 _PLAY: Final = 0.01
 """Relative difference of the two frequencies."""
+_SAME: Final = 0.005
+"""Relative difference of the two frequencies where play cannot be what the coherence is lost by: without any
+they are within 0.0015, and with play some 0.03 apart."""
 _MIDDLE_HZ: Final = (4.0, 60.0)
 """Range in which a shaft is rigid: above the guide, and below the resonances of couplings."""
+_RIGID_SHARE: Final = 0.3
+"""Of the frequency of a coupling's notch: up to there its response is within a tenth of a rigid shaft's."""
 
 _FINEST_US: Final = 20.0
 """Uncertainty of an instant of sending; see the delays of commands found by commissioning."""
@@ -130,17 +135,22 @@ class Response(Step):
         session.found.resonance = max(
             filter(None, (large, small)), key=lambda each: each.magnitude, default=None
         )
+        apart = abs(small.frequency_hz / large.frequency_hz - 1.0) if large and small else math.inf
         if coherence < _COHERENT:
+            why = (
+                "commands do not act at even instants, or the speed is noisy"
+                if apart < _SAME
+                else "the shaft does not answer in proportion to the torque, as behind a coupling with play"
+            )
             outcome.say(
                 f"near {rise.near_hz:.0f} Hz a quarter of the lines have a coherence below "
-                f"{coherence:.2f}: the shaft does not answer in proportion to the torque, as behind a "
-                "coupling with play"
+                f"{coherence:.2f}: {why}"
             )
-            return
+            if apart >= _SAME:
+                return
         if large is None or small is None:
             outcome.say(f"near {rise.near_hz:.0f} Hz no resonance of two masses fits")
             return
-        apart = abs(small.frequency_hz / large.frequency_hz - 1.0)
         outcome.figures["resonance_apart"] = apart
         if apart > _PLAY:
             outcome.say(
@@ -205,20 +215,24 @@ class _Rise(NamedTuple):
 
 def _judge_response(measured: FrequencyResponse, model: ComplexArray, outcome: StepOutcome) -> _Rise:
     frequency, response, coherence = measured.frequency_hz, measured.response, measured.coherence
-    middle = (frequency >= _MIDDLE_HZ[0]) & (frequency <= _MIDDLE_HZ[1]) & (coherence > _COHERENT)
-    if not middle.any():
-        raise StepFailed("the speed does not follow the torque", f"best coherence {coherence.max():.2f}")
-    ratio = float(np.median(np.abs(model[middle]) / np.abs(response[middle])))
-    good = frequency[coherence > _COHERENT]
-    outcome.say(f"coherence above {_COHERENT:g} from {good.min():.0f} to {good.max():.0f} Hz")
-    outcome.say(
-        f"between {_MIDDLE_HZ[0]:g} and {_MIDDLE_HZ[1]:g} Hz the inertia is {ratio:.3f} of the identified one"
-    )
-    outcome.measured("inertia over that of the ramps", ratio, "")
-    outcome.headline = outcome.lines[-1]
     dips = np.abs(response) / np.abs(model)
     usable = coherence > _COHERENT
     peak = int(np.argmax(np.where(usable, dips, 0.0)))
+    low_hz, high_hz = _MIDDLE_HZ
+    notch = int(np.argmin(dips[: peak + 1]))
+    if dips[peak] > RISE_MIN and dips[notch] < 1.0 / RISE_MIN:
+        high_hz = min(high_hz, _RIGID_SHARE * float(frequency[notch]))
+        if high_hz < _SPAN * _LOWEST_HZ:
+            low_hz, high_hz = _LOWEST_HZ, max(high_hz, 2.0 * _LOWEST_HZ)
+    middle = (frequency >= low_hz) & (frequency <= high_hz) & usable
+    if not middle.any():
+        raise StepFailed("the speed does not follow the torque", f"best coherence {coherence.max():.2f}")
+    ratio = float(np.median(np.abs(model[middle]) / np.abs(response[middle])))
+    good = frequency[usable]
+    outcome.say(f"coherence above {_COHERENT:g} from {good.min():.0f} to {good.max():.0f} Hz")
+    outcome.say(f"between {low_hz:g} and {high_hz:.3g} Hz the inertia is {ratio:.3f} of the identified one")
+    outcome.measured("inertia over that of the ramps", ratio, "")
+    outcome.headline = outcome.lines[-1]
     outcome.say(f"largest rise above the rigid shaft: {dips[peak]:.2f} at {frequency[peak]:.0f} Hz")
     outcome.figures = {
         "inertia_ratio": ratio,

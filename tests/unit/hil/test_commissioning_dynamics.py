@@ -112,6 +112,21 @@ def test_all_that_is_said_of_a_response() -> None:
     }
 
 
+@pytest.mark.parametrize(
+    ("notch_hz", "told"),
+    [(12.0, "between 2 and 4 Hz"), (90.0, "between 4 and 25 Hz"), (300.0, "4 and 60 Hz")],
+)
+def test_a_coupled_shaft_is_held_against_its_inertia_below_its_notch(notch_hz: float, told: str) -> None:
+    """Up to 60 Hz a soft one seems to have another inertia than its ramps."""
+    lines: Array = np.geomspace(2.0, 400.0, 28)
+    model = 1.0 / (2e-3 * 1j * math.tau * lines)
+    factor = (1.0 - (lines / notch_hz) ** 2) / (1.0 + 0.01j - (lines / notch_hz) ** 2 / 1.5)
+    outcome = StepOutcome()
+    _judge_response(FrequencyResponse(lines, factor * model, np.ones(28)), model, outcome)
+    assert outcome.figures["inertia_ratio"] == pytest.approx(1.0, abs=0.04)
+    assert told in outcome.lines[1]
+
+
 def test_a_speed_that_does_not_follow_in_the_middle_fails() -> None:
     coherence: Array = np.array([1.0, 0.8, 0.8, 0.8, 1.0, 1.0])
     with pytest.raises(StepFailed) as caught:

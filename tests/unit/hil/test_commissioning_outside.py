@@ -186,6 +186,13 @@ def test_a_shaft_that_stands_for_a_moment_and_goes_on_hits_nothing() -> None:
     judged(np.concatenate([speed, np.full(20, 10.0), np.zeros(50)]), np.full(278, 0.1))
 
 
+def test_a_rotor_that_swings_in_the_play_of_a_load_at_rest_hits_nothing() -> None:
+    """It goes to and fro within 6 mrad; from an end stop it would go away."""
+    swing = 4.0 * np.sin(np.pi * np.arange(200) / 5.0 + 3.6)
+    speed: Array = np.concatenate([np.linspace(0.0, 20.0, 200), np.linspace(20.0, -1.0, 6), swing])
+    judged(speed, np.concatenate([np.full(200, 0.1), np.zeros(206)]))
+
+
 @pytest.mark.parametrize("back", [0.5, 0.05])
 def test_a_sudden_reversal_is_a_stop_if_it_gives_something_back(back: float) -> None:
     speed: Array = np.concatenate([np.linspace(0.0, 20.0, 200), np.linspace(20.0, -20.0 * back, 6)])

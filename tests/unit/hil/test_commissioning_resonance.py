@@ -119,6 +119,22 @@ def test_a_commissioning_finds_the_resonance_and_a_controller_that_bears_it(
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("seed", few_of([8], 0))
+def test_a_resonance_between_incoherent_lines_is_told_where_both_looks_agree(
+    seed: int, tmp_path: Path
+) -> None:
+    """Commands act at the next tick of the drive, some a tick later than others: no play does this."""
+    motor = unknown_drive(seed)[1].motor
+    shaft = coupling(motor.inertia_kg_m2, 205.0, 0.577)
+    drive = DriveParameters(machine=replace(motor, mechanism=Mechanism(coupling=shaft)))
+    without = ("turn", *NOT_RESTED_ON)
+    _truth, result, _spy = unknown_world(seed, tmp_path, drive=drive, last_step="response", without=without)
+    outcome = result.records[-1].outcome
+    assert outcome.figures["resonance_hz"] == pytest.approx(shaft.resonance_hz, rel=0.03)
+    assert any("do not act at even instants" in line for line in outcome.lines), outcome.lines
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("draw", few_of(range(4), 1))
 def test_play_is_told_as_play(draw: int, tmp_path: Path) -> None:
     """Masses between stops move without rule: a billionth of the play makes another motion."""
