@@ -2,10 +2,14 @@
 
 from pathlib import Path
 
+import pytest
+
 from tests.draws import ALL
 from tests.mutants.seals import seal_breaker
 
 MUTANTS = 60 if ALL else 20
+
+pytestmark = pytest.mark.usefixtures("forked_children")
 
 
 def test_no_altered_file_of_a_sealed_folder_is_accepted(tmp_path: Path) -> None:

@@ -17,6 +17,8 @@ from servobench.hil.rows.records_file import read_records
 from tests.told import ROOT
 from tests.unit.hil.recorded_runs import short_run
 
+pytestmark = pytest.mark.usefixtures("forked_children")
+
 EXAMPLES = ROOT / "examples"
 HALF = "[verdict]\ndropouts_percent_max = 50.0\n"
 LIMITS = """
