@@ -25,6 +25,7 @@ from servobench.drivers.cia402.objects402 import CONTROL, Object
 from servobench.drivers.cia402.profile import state_of
 from servobench.drivers.cia402.servo import ServoDrive
 from servobench.drivers.errors import BenchError, PeerFault, TransferAborted
+from servobench.drivers.sheets.concise import ConciseEntry, concise_bytes
 from servobench.drivers.sheets.dictionary import value_text
 from servobench.drivers.timebase import NS_PER_MS, Duration
 from servobench.hil.execution.world import World
@@ -45,7 +46,7 @@ from servobench.hil.restoring.restore import (
     return_to,
     store_settings,
 )
-from servobench.hil.restoring.settings import write_settings, writes_to
+from servobench.hil.restoring.settings import download_order, write_settings, writes_to
 from servobench.hil.write_lists import COMMISSION
 
 JOURNAL: Final = "journal.jsonl"
@@ -56,9 +57,10 @@ _LOOK: Final = Duration(20 * NS_PER_MS)
 _AXIS: Final = 0x800
 """Objects from one axis to the next (CiA 402-2)."""
 _PROFILE: Final = range(0x6000, 0xA000)
+_UNIT_WORDS: Final = range(0x60A8, 0x60AC)
 _UNITS: Final = frozenset(
     {Object.POLARITY, Object.MOTOR_RATED_CURRENT, Object.MOTOR_RATED_TORQUE, *range(0x6089, 0x6098)}
-    | {0x608F, 0x60A8, 0x60A9, 0x60AA, 0x60AB, *range(0x60E4, 0x60F0)}
+    | {*_UNIT_WORDS, *range(0x60E4, 0x60F0)}
 )
 """Scaling of other objects' values."""
 _BOUNDS: Final = frozenset(
@@ -112,6 +114,16 @@ def loading_network(world: World) -> JournaledNetwork:
     return JournaledNetwork(world.link, world.clock, NOTHING)
 
 
+def concise_dcf(read: ParameterSet) -> bytes:
+    """Return parameters as a concise DCF, which a manager may write in its order.
+
+    A unit word of 0 is left out: drives refuse it, and take factors alone once those are written.
+    """
+    kept = [place for place, value in read.values.items() if place[0] not in _UNIT_WORDS or any(value)]
+    values = {ObjectKey(*place): read.values[place] for place in sorted(kept, key=_rank)}
+    return concise_bytes(ConciseEntry((key.index, key.sub), data) for key, data in download_order(values))
+
+
 def load_parameters(
     network: JournaledNetwork,
     wanted: ParameterSet,
@@ -139,7 +151,7 @@ def load_parameters(
         with network.writes.only(_writes(network, request.node, values)):
             if result.differed or request.store or request.journal.exists():
                 journal = _begin(network, drive.objects, identity, wanted, request)
-                _note_all(journal, held, wanted)
+                _note_all(journal, held | _unit_words(drive.objects, held), wanted)
                 _write(network, drive.objects, wanted, values, result, check_stop)
                 return_to(network, request.node, journal.contents.head.nmt)
             if request.store:
@@ -174,9 +186,16 @@ def _note_all(journal: Journal, held: Mapping[Place, bytes], wanted: ParameterSe
     """Note all parameters before the first write, which may change other objects than its own."""
     known = journal.contents.originals()
     found = (
-        ObjectWrite(ObjectKey(*place), held[place], wanted.values[place]) for place in sorted(held, key=_rank)
+        ObjectWrite(ObjectKey(*place), held[place], wanted.values.get(place, held[place]))
+        for place in sorted(held, key=_rank)
     )
     journal.note(*(each for each in found if each.object not in known))
+
+
+def _unit_words(objects: RemoteObjects, held: Mapping[Place, bytes]) -> dict[Place, bytes]:
+    """Return the unit words that are not to be loaded: a factor that is written may change them."""
+    words = {(index, 0): objects.read_if_there(index) for index in _UNIT_WORDS if (index, 0) not in held}
+    return {place: word.to_bytes(4, "little") for place, word in words.items() if word is not None}
 
 
 def _digest(values: Mapping[Place, bytes]) -> str:

@@ -7,7 +7,7 @@ domains are none: they say what a drive does at this moment, or change by themse
 import io
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -18,15 +18,18 @@ from servobench.drivers.canopen.cob_ids import CAN_ID, EMERGENCY, NODE_BITS, RPD
 from servobench.drivers.canopen.network import CanopenNetwork
 from servobench.drivers.canopen.objects301 import (
     MANUFACTURER,
+    SIGNED_BITS,
     Cia301,
     DataType,
     is_communication,
+    is_mapping,
     object_name,
 )
 from servobench.drivers.cia402.drive_setup import Identity
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.servo import ServoDrive
 from servobench.drivers.errors import BadInput, PeerFault, TransferAborted
+from servobench.drivers.sheets.concise import is_concise, read_concise
 from servobench.drivers.sheets.dictionary import (
     NUMBERS,
     is_kept,
@@ -37,6 +40,7 @@ from servobench.drivers.sheets.dictionary import (
 )
 from servobench.drivers.timebase import NS_PER_S, Duration
 from servobench.hil.inspecting.units import Place, SiUnit, read_units, units_of, with_unit
+from servobench.hil.inspecting.upload_scan import EVERY_INDEX, scan_objects
 
 NO_PARAMETERS: Final = frozenset(
     {
@@ -73,7 +77,8 @@ class ParameterSet:
     types: Mapping[Place, int]
     """Data types (CiA 301 7.4.7)."""
     unread: Mapping[Place, str]
-    """Parameters of the data sheet that the drive did not give, with its reason."""
+    """Parameters of the data sheet that the drive did not give, with its reason; of a concise DCF, what the
+    sheet does not have as a parameter."""
     units: Mapping[Place, SiUnit] = field(default_factory=dict)
     """Units that are known."""
     node: int | None = None
@@ -93,14 +98,24 @@ class ParameterDifference(NamedTuple):
 
 
 def read_parameters(
-    network: CanopenNetwork, node: int, sheet: Path, bus: str, tell: Callable[[str], None]
+    network: CanopenNetwork,
+    node: int,
+    sheet: Path | None,
+    bus: str,
+    tell: Callable[[str], None],
+    indices: Sequence[range] = EVERY_INDEX,
 ) -> tuple[ParameterSet, ObjectDictionary, Identity]:
-    """Upload every parameter that the data sheet names.
+    """Upload every parameter that the data sheet names; without one, of all objects of ``indices`` that are
+    there, those that held the same twice.
 
     Raises BadInput for a data sheet that cannot be read, PeerFault if it is of another device, NoAnswer.
     """
-    dictionary = load_dictionary(sheet, node).dictionary
+    dictionary = None if sheet is None else load_dictionary(sheet, node).dictionary
     identity = ServoDrive(network, node).connect(network.deadline_after(CONNECT_NS))
+    scanned = None
+    if dictionary is None:
+        scanned = scan_objects(network, node, indices, tell)
+        dictionary = scanned.dictionary
     for part, of_sheet, of_drive in told_identity(dictionary).strangers(
         identity.vendor, identity.product, identity.revision
     ):
@@ -113,14 +128,18 @@ def read_parameters(
             "give the data sheet of this drive",
         )
     values, unread = dict[Place, bytes](), dict[Place, str]()
-    for variable in parameters_in(dictionary):
+    if scanned is not None:
+        unread |= {place: why for place, why in scanned.unread.items() if place[0] not in NO_PARAMETERS}
+    for variable in list(parameters_in(dictionary)):
         place = variable.index, variable.subindex
         try:
             value = network.upload(node, *place)
         except TransferAborted as error:
             unread[place] = str(error)
             continue
-        if is_kept(value, variable.data_type):
+        if scanned is not None and scanned.values[place] != value:
+            variable.access_type = "ro"
+        elif is_kept(value, variable.data_type):
             values[place] = value
         else:
             unread[place] = f"a DCF cannot hold its text {value!r}"
@@ -129,24 +148,39 @@ def read_parameters(
     return replace(read, node=node), dictionary, identity
 
 
-def parameters_of(path: Path, node: int | None = None) -> ParameterSet:
-    """Read the parameter values of a DCF or XDC; identifiers that follow the node-ID are those of ``node``,
-    default: the file's own.
+def parameters_of(path: Path, node: int | None = None, sheet: Path | None = None) -> ParameterSet:
+    """Read the parameter values of a DCF, concise DCF or XDC; identifiers that follow the node-ID are those
+    of ``node``, default: the file's own. ``sheet``: the data sheet that tells device and types of a concise
+    DCF.
 
-    Raises BadInput for a file without parameter values.
+    Raises BadInput for a file without parameter values, or a concise DCF without ``sheet``.
     """
-    loaded, values = load_dictionary(path, node), dict[Place, bytes]()
+    concise = is_concise(path)
+    if concise and sheet is None:
+        cure = "--eds FILE of the device: a concise DCF tells neither device nor types"
+        raise BadInput(str(path), "", "a concise DCF alone", "a data sheet beside it", cure)
+    loaded = load_dictionary(sheet if concise and sheet else path, node)
+    values, left = dict[Place, bytes](), dict[Place, str]()
     dictionary = loaded.dictionary
+    if concise:
+        known = {(each.index, each.subindex) for each in parameters_in(dictionary)}
+        written = dict[Place, bytes](read_concise(path))
+        values = {place: data for place, data in written.items() if place in known}
+        left = {place: "no parameter of the data sheet" for place in written if place not in known}
     for variable in parameters_in(dictionary):
-        if variable.value is not None:
+        value = values.get((variable.index, variable.subindex))
+        if value is not None and variable.data_type in NUMBERS:  # units follow from values
+            to_write: Any = variable
+            to_write.value = int.from_bytes(value, "little", signed=variable.data_type in SIGNED_BITS)
+        elif not concise and variable.value is not None:
             values[variable.index, variable.subindex] = _encoded(variable, path)
     if not values:
         cure = "hil params save writes one; an EDS or XDD tells defaults only"
         raise BadInput(str(path), "ParameterValue", "none", "a DCF or XDC with parameter values", cure)
     told = told_identity(dictionary)
     device = frozenset(told.vendor), frozenset(told.product)
-    told_node = node if loaded.commissioning is None else loaded.commissioning.node_id or node
-    described = _described(dictionary, str(path), device, values, {})
+    told_node = node if concise or loaded.commissioning is None else loaded.commissioning.node_id or node
+    described = _described(dictionary, str(path), device, values, left)
     return replace(described, units=units_of(dictionary), node=told_node)
 
 
@@ -227,7 +261,8 @@ def differences(first: ParameterSet, second: ParameterSet) -> list[ParameterDiff
     for place in sorted(first.values.keys() | second.values.keys()):
         owner = first if place in first.values else second
         texts = [_compared(each.values.get(place), owner.types[place]) for each in (first, second)]
-        if texts[0] == texts[1] or place in left:
+        unused = is_mapping(place[0]) and all(text in ("", "0x0") for text in texts)
+        if texts[0] == texts[1] or place in left or unused:
             continue
         if moved.values.get(place) != second.values.get(place):
             si = (

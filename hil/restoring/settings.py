@@ -72,6 +72,54 @@ def write_settings(
     return _Writer(network, node, dict(wanted), same, check).write()
 
 
+def download_order(values: Values) -> Iterator[tuple[ObjectKey, bytes]]:
+    """Yield the writes by which a manager who does not read brings a device that is pre-operational to
+    ``values``: PDOs as above, then the others in their order, each behind what the standard wants first.
+    """
+    pdos = sorted({pdo for key in values if (pdo := pdo_of(key.index)) is not None})
+    cob_ids = {key: values[key] for pdo in pdos if (key := ObjectKey(pdo, 1)) in values}
+    for key, cob_id in cob_ids.items():
+        yield key, _with_bits(cob_id, NOT_VALID)
+    for pdo in pdos:
+        count = ObjectKey(pdo + MAPPING_OFFSET, 0)
+        used = int.from_bytes(values.get(count, b""), "little")
+        entries = {each: values[each] for each in sorted(values) if each.index == count.index and each.sub}
+        if count in values:
+            yield count, bytes(len(values[count]))
+            yield from (each for each in entries.items() if each[0].sub <= used or any(each[1]))
+            yield count, values[count]
+        yield from ((key, values[key]) for key in sorted(values) if key.index == pdo and key.sub != 1)
+    yield from cob_ids.items()
+    others = {key: value for key, value in values.items() if pdo_of(key.index) is None}
+    if _COUNTER in others and _CYCLE in others:
+        others[_CYCLE] = others.pop(_CYCLE)
+        yield _CYCLE, bytes(len(others[_CYCLE]))
+    for key, value in others.items():
+        if key.index == Cia301.CONSUMER_HEARTBEAT_TIME:
+            yield key, bytes(len(value))
+        elif freed := _freed(key, value):
+            yield key, freed
+    yield from others.items()
+
+
+def _freed(key: ObjectKey, cob_id: bytes) -> bytes:
+    """Return a COB-ID that stands for nothing; empty for what is none."""
+    if _is_switched_off_by_bit_31(key):
+        return _with_bits(cob_id, NOT_VALID)
+    clear = _produced_by(key.index)
+    return _with_bits(cob_id, 0, clear) if clear else b""
+
+
+def _produced_by(index: int) -> int:
+    """Return the bits of a COB-ID with which the device produces or consumes; 0 for all others."""
+    both = _PRODUCES | NOT_VALID if index == Cia301.TIME_COB_ID else 0
+    return _PRODUCES if index == Cia301.SYNC_COB_ID else both
+
+
+def _with_bits(cob_id: bytes, bits: int, clear: int = 0) -> bytes:
+    return (int.from_bytes(cob_id, "little") & ~clear | bits).to_bytes(len(cob_id), "little")
+
+
 def writes_to(
     keys: Collection[ObjectKey], product: Product | None, why: str, when: str
 ) -> Iterator[ListedWrite]:
@@ -193,8 +241,7 @@ class _Writer:
 
     def _free(self, key: ObjectKey) -> None:
         """Switch off what a COB-ID stands for, if its other bits change."""
-        clear = _PRODUCES if key.index == Cia301.SYNC_COB_ID else 0
-        clear = _PRODUCES | NOT_VALID if key.index == Cia301.TIME_COB_ID else clear
+        clear = _produced_by(key.index)
         sets = NOT_VALID if _is_switched_off_by_bit_31(key) else 0
         held = self._held(key) if clear or sets else None
         if held is None:

@@ -1,6 +1,7 @@
 """``hil params``: the parameters of a drive, kept in a file, compared, and loaded."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -27,7 +28,9 @@ if TYPE_CHECKING:
 
 _NAME_MAX = 40
 """Letters of a name in the table; makers' names go to a hundred."""
-SheetOption = Annotated[Path, valued("--eds", "FILE", "Data sheet that names the parameters.")]
+_SHEET = valued("--eds", "FILE", "Data sheet that names the parameters.")
+SheetOption = Annotated[Path, _SHEET]
+OptionalSheetOption = Annotated[Path | None, _SHEET]
 StoreOption = Annotated[bool, flag("--store", "Have the drive keep them (1010h).")]
 OutOption = Annotated[
     Path | None, valued("--out", "DIR", "Folder of the journal; default: named by source and node.")
@@ -35,34 +38,53 @@ OutOption = Annotated[
 
 
 def save(
-    file: Annotated[Path, typer.Argument(metavar="FILE.dcf", help="The DCF to write; none may be there.")],
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE.dcf", help="The DCF to write, or .bin, a concise one; none may be there."
+        ),
+    ],
     bus: DriveBusOption,
     node: DriveNodeOption,
-    eds: SheetOption,
+    eds: OptionalSheetOption = None,
+    indices: Annotated[
+        list[str] | None,
+        valued("--range", "FIRST-LAST", "Without a sheet: indices to ask for, hexadecimal; default: all."),
+    ] = None,
     bitrate: BitrateOption = 1_000_000,
     as_json: JsonOption = False,
 ) -> None:
-    """Read every parameter of a drive and write them to a DCF (CiA 306-1).
+    """Read every parameter of a drive and write them to a DCF (CiA 306-1), or a concise one (CiA 302-3).
 
-    Nothing is written to the drive. Exit status: 0 all read, 1 the drive refused some, 2 bad input, 3 no
-    answer or another device.
+    Without a data sheet the drive is asked for every index: types are guessed by size, and what changes
+    meanwhile is no parameter. Nothing is written to the drive. Exit status: 0 all read, 1 the drive refused
+    some, 2 bad input, 3 no answer or another device.
 
     Examples:
       hil params save drive.dcf --bus hub:lab --node 1 --eds drive.eds
+      hil params save drive.bin --bus hub:lab --node 1 --eds drive.eds
+      hil params save asked.dcf --bus hub:lab --node 1 --range 6060-60FF
     """
     from servobench.drivers.canopen.objects301 import object_name
     from servobench.drivers.canopen.write_list import NOTHING
+    from servobench.drivers.sheets.concise import is_concise
     from servobench.drivers.written_file import written
     from servobench.hil.execution.world import drive_network
+    from servobench.hil.inspecting.loading import concise_dcf
     from servobench.hil.inspecting.parameters import configuration_text, read_parameters
+    from servobench.hil.inspecting.upload_scan import EVERY_INDEX
 
     if file.exists():
         raise BadInput("FILE.dcf", "", str(file), "a file that is not there yet")
+    if indices and eds is not None:
+        raise BadInput("--range", "", indices[0], "no --eds, whose objects are read")
+    asked = tuple(_indices(text) for text in indices or ()) or EVERY_INDEX
     with drive_network(bus, bitrate, NOTHING) as network:
-        read, dictionary, identity = read_parameters(network, node, eds, bus, _note)
-    text = configuration_text(read, dictionary, identity, bitrate)
+        read, dictionary, identity = read_parameters(network, node, eds, bus, _note, asked)
+    concise = is_concise(file)
+    data = concise_dcf(read) if concise else configuration_text(read, dictionary, identity, bitrate).encode()
     with written("FILE.dcf", file) as path:
-        path.write_text(text, encoding="utf-8")
+        path.write_bytes(data)
     say_written(file)
     refused = {object_name(*place): why for place, why in read.unread.items()}
     figures = {"file": str(file), "node": node, "parameters": len(read.values), "refused": refused}
@@ -71,9 +93,13 @@ def save(
 
 
 def load(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A DCF or XDC with parameter values.")],
+    file: Annotated[
+        Path,
+        typer.Argument(metavar="FILE", help="A DCF or XDC with parameter values, or a concise DCF, .bin."),
+    ],
     bus: DriveBusOption,
     node: DriveNodeOption,
+    eds: OptionalSheetOption = None,
     out: OutOption = None,
     store: StoreOption = False,
     bitrate: BitrateOption = 1_000_000,
@@ -87,14 +113,16 @@ def load(
 
     Examples:
       hil params load drive.dcf --bus hub:lab --node 1
+      hil params load drive.bin --bus hub:lab --node 1 --eds drive.eds
     """
     from servobench.hil.inspecting.loading import LoadRequest
     from servobench.hil.inspecting.parameters import for_node, parameters_of
 
-    parameters, left = for_node(parameters_of(file, node), node)
+    read = parameters_of(file, node, eds)
+    parameters, left = for_node(read, node)
     folder = out or Path(f"{file.stem}-node{node}")
     request = LoadRequest(bus, bitrate, node, folder, store)
-    _load(request, lambda _network: (parameters, left), as_json)
+    _load(request, lambda _network: (parameters, {**left, **read.unread}), as_json)
 
 
 def clone(
@@ -198,6 +226,7 @@ def diff(
     other: Annotated[
         int | None, valued("--other", "N", "Node id of a drive to compare with --node's.", min=1, max=127)
     ] = None,
+    eds: OptionalSheetOption = None,
     bitrate: BitrateOption = 1_000_000,
     as_json: JsonOption = False,
 ) -> None:
@@ -209,6 +238,7 @@ def diff(
 
     Examples:
       hil params diff drive.dcf --bus hub:lab --node 1
+      hil params diff drive.dcf drive.bin --eds drive.eds
       hil params diff drive.eds --bus hub:lab --node 1 --other 2
     """
     from servobench.hil.inspecting.parameters import differences, parameters_of
@@ -219,9 +249,9 @@ def diff(
         raise BadInput("SECOND.dcf", "", found, "a second file, or --bus and --node of a drive")
     if other is not None and (second is not None or other == node):
         raise BadInput("--other", "", other, "another drive than --node's, beside --bus and --node")
-    drives = [] if second is not None else _of_drives(first, str(bus), node or 0, other, bitrate)
-    mine = drives[0] if len(drives) > 1 else parameters_of(first, node)
-    theirs = parameters_of(second) if second is not None else drives[-1]
+    drives = [] if second is not None else _of_drives(eds or first, str(bus), node or 0, other, bitrate)
+    mine = drives[0] if len(drives) > 1 else parameters_of(first, node, eds)
+    theirs = parameters_of(second, None, eds) if second is not None else drives[-1]
     found_differences = differences(mine, theirs)
     figures = {
         "first": mine.source,
@@ -241,6 +271,15 @@ def _of_drives(sheet: Path, bus: str, node: int, other: int | None, bitrate: int
     nodes = [node] if other is None else [node, other]
     with drive_network(bus, bitrate, NOTHING) as network:
         return [compared_drive(network, each, sheet, bus, _note) for each in nodes]
+
+
+def _indices(text: str) -> range:
+    """Parse ``6060-60FF``. Raises BadInput."""
+    with suppress(ValueError):
+        first, last = (int(part, 16) for part in text.split("-"))
+        if 0x1000 <= first <= last <= 0xFFFF:
+            return range(first, last + 1)
+    raise BadInput("--range", "", text, "two hexadecimal indices 1000-FFFF, as 2000-2FFF")
 
 
 def _note(text: str) -> None:

@@ -4,9 +4,11 @@
     python -m tests.parameters --sheets FOLDER       and before them every EDS and DCF there
     python -m tests.parameters --only "no 6077h"     some made-up ones
     python -m tests.parameters --kills 8             ends of the host for each sheet
+    python -m tests.parameters --scan                each saved without its sheet too
 
-Settings are drawn, saved to a DCF, reset (1011h) and loaded; then the host ends at drawn writes, each time
-once undone and once gone on with. Leaves with 1 if a drive holds another byte than it has to.
+Settings are drawn, saved to a DCF and a concise one, reset (1011h) and loaded, the concise one also entry by
+entry as a manager does; then the host ends at drawn writes, each time once undone and once gone on with.
+Leaves with 1 if a drive holds another byte than it has to.
 """
 
 import argparse
@@ -32,6 +34,7 @@ def main() -> None:
     parser.add_argument("--made", type=int, default=MADE, help="so many made-up ones")
     parser.add_argument("--only", action="append", help="a trait, or two with + between")
     parser.add_argument("--kills", type=int, default=KILLS, help="for each sheet")
+    parser.add_argument("--scan", action="store_true", help="save each without its sheet too")
     parser.add_argument("--seconds", type=float, default=1e9, help="what is not begun by then is left out")
     asked = parser.parse_args()
     clock = MonotonicClock()
@@ -46,10 +49,14 @@ def main() -> None:
                 break
             folder = Path(name) / str(number)
             folder.mkdir()
-            sheet = case.absolute() if isinstance(case, Path) else made_sheet(case, folder)
             title = case.name if isinstance(case, Path) else " + ".join(case)
             try:
-                outcome = tried(sheet, folder, title, asked.kills)
+                sheet = case.absolute() if isinstance(case, Path) else made_sheet(case, folder)
+            except KeyError:  # an object that the other trait took away
+                print(f"{title[:50]:52}no sheet can have both")
+                continue
+            try:
+                outcome = tried(sheet, folder, title, asked.kills, asked.scan)
             except PeerFault as error:
                 refused += 1
                 print(f"{title[:50]:52}refused: {error.evidence[:60]}", flush=True)

@@ -5,6 +5,7 @@ What the drive holds is read from its dictionary, not by the product.
 """
 
 import random
+import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -21,7 +22,7 @@ from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.hil.execution.device_files import DeviceFiles
 from servobench.hil.execution.simulated_drives import servo_of
 from servobench.hil.execution.world import World, WorldPlan, open_world
-from servobench.hil.inspecting.loading import LoadRequest, load_parameters
+from servobench.hil.inspecting.loading import LoadRequest, concise_dcf, load_parameters
 from servobench.hil.inspecting.parameters import configuration_text, parameters_of, read_parameters
 from servobench.hil.restoring.journal import JournaledNetwork, read_journal
 from servobench.hil.restoring.restore import restore
@@ -109,21 +110,37 @@ class Bench:
         network.command(NmtCommand.RESET_NODE, NODE)
         network.pump(Instant(network.clock.now() + NS_PER_S // 2))
 
-    def save(self, path: Path) -> dict[Key, str]:
-        """``hil params save``; what could not be saved."""
+    def save(self, path: Path, sheet: Path | None) -> dict[Key, str]:
+        """``hil params save``; what could not be saved. ``sheet``: None for a scan."""
         network = self.host()
-        read, dictionary, identity = read_parameters(network, NODE, self.sheet, "simulated", lambda _: None)
-        path.write_text(configuration_text(read, dictionary, identity, RATE))
+        read, dictionary, identity = read_parameters(network, NODE, sheet, "simulated", lambda _: None)
+        text = configuration_text(read, dictionary, identity, RATE)
+        path.write_bytes(concise_dcf(read) if path.suffix == ".bin" else text.encode())
         return dict(read.unread)
 
+    def manage(self, path: Path) -> dict[Key, str]:
+        """Write a concise DCF entry by entry, as a manager does after a node's boot-up; what is refused."""
+        data, refused = path.read_bytes(), dict[Key, str]()
+        (count,), place = struct.unpack_from("<I", data), 4
+        for _ in range(count):
+            index, sub, size = struct.unpack_from("<HBI", data, place)
+            place += 7 + size
+            try:
+                self.drive.dictionary.download(index, sub, data[place - size : place])
+            except SdoAbort as error:
+                refused[index, sub] = f"{error.code:08X}h"
+        assert place == len(data)
+        return refused
+
     def load(
-        self, path: Path, out: Path, dies_at: int = 0, sends_it: bool = False
+        self, path: Path, out: Path, dies_at: int = 0, sends_it: bool = False, sheet: Path | None = None
     ) -> tuple[int, dict[Key, str]]:
         """``hil params load``; the number of writes, and what was refused. Raises Killed."""
         network = self.host()
         network.dies_at, network.sends_it = dies_at, sends_it
         request = LoadRequest("simulated", RATE, NODE, out)
-        loaded = load_parameters(network, parameters_of(path, NODE), request, lambda _: None)
+        wanted = parameters_of(path, NODE, sheet)
+        loaded = load_parameters(network, wanted, request, lambda _: None)
         return network.written, dict(loaded.refused)
 
     def undo(self, out: Path) -> list[str]:
@@ -225,13 +242,15 @@ def differing(expected: Held, found: Held) -> list[str]:
     ]
 
 
-def tried(sheet: Path, folder: Path, seed: str, kills: int) -> Outcome:
-    """All of it, for one sheet."""
+def tried(sheet: Path, folder: Path, seed: str, kills: int, scans: bool = False) -> Outcome:
+    """All of it, for one sheet; ``scans``: without the sheet too, which takes as long as all the rest."""
     draw, wrong = random.Random(f"{seed}"), list[str]()
     with on_a_bench(sheet) as bench:
         draw_settings(bench, draw)
         file, set_up = folder / "drive.dcf", bench.held()
-        unsaved = bench.save(file)
+        concise, scanned = folder / "drive.bin", folder / "scanned.dcf"
+        unsaved = {**bench.save(file, sheet), **bench.save(concise, sheet)}
+        unscanned = bench.save(scanned, None) if scans else {}
         bench.reset()
         factory = bench.held()
         excused = {f"{index:04X}h:{sub:02X}" for index, sub in unsaved}
@@ -251,6 +270,16 @@ def tried(sheet: Path, folder: Path, seed: str, kills: int) -> Outcome:
         judge("loaded", set_up, refused)
         wrong.extend(f"undone: {text}" for text in bench.undo(folder / "whole"))
         judge("undone", factory, {})
+        judge("by a manager", set_up, bench.manage(concise))
+        bench.reset()
+        judge("concise", set_up, bench.load(concise, folder / "concise", sheet=sheet)[1])
+        wrong.extend(f"concise, undone: {text}" for text in bench.undo(folder / "concise"))
+        if scans:
+            of_others = bench.load(scanned, folder / "scanned")[1]
+            excused |= {f"{index:04X}h:{sub:02X}" for index, sub in unscanned}
+            judge("scanned", set_up, {key: why for key, why in of_others.items() if key in bench.keys})
+            wrong.extend(f"scanned, undone: {text}" for text in bench.undo(folder / "scanned"))
+        judge("undone again", factory, {})
         for number in range(kills if writes else 0):
             at = 1 + (number * writes + draw.randrange(writes)) // kills
             out, sends_it = folder / f"kill{number}", bool(draw.randrange(2))

@@ -93,7 +93,7 @@ def test_saving_writes_nothing_to_the_drive(saved: dict[str, Any]) -> None:
 def test_a_drive_made_of_the_saved_file_holds_the_same(
     saved: dict[str, Any], sheet: Path, tmp_path: Path
 ) -> None:
-    again, name = tmp_path / "again.dcf", hub_name("params-again")
+    again, name = tmp_path / "again.bin", hub_name("params-again")
     with simulated_drive(name, "--node", str(NODE), "--eds", str(saved["path"])):
         run("save", again, "--bus", name, "--node", NODE, "--eds", sheet)
         same = run("diff", saved["path"], "--bus", name, "--node", NODE)
@@ -101,7 +101,7 @@ def test_a_drive_made_of_the_saved_file_holds_the_same(
         0,
         f"0 of {saved['told']['parameters']}",
     )
-    assert run("diff", saved["path"], again).returncode == 0
+    assert run("diff", saved["path"], again, "--eds", sheet).returncode == 0
 
 
 def test_what_differs_is_named_with_both_values(saved: dict[str, Any], bus: str, tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ from servobench.hil.commissioning.steps_manual import (
     jog_steps,
 )
 from servobench.hil.configuration.bench_file import faults_from
-from servobench.hil.execution.world import WorldPlan, open_world
+from servobench.hil.execution.world import World, WorldPlan, open_world
 from servobench.hil.machine.stopping import StopRequest
 from servobench.hil.restoring.journal import read_journal
 from servobench.hil.write_lists import writes_of
@@ -41,6 +41,7 @@ from servobench.virtual_bus.drive.servo import SimulatedServo
 from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from servobench.virtual_bus.frame import Frame
 from tests.motors import LING
+from tests.parameters.roundtrip import Killed
 from tests.scenario.foreign_node import put_on_the_bus
 from tests.sdo_writes import SdoWrites
 
@@ -142,15 +143,16 @@ def moved(
     dialog: Callable[[Callable[[str], None]], Dialog] = Dialog,
     dry_run: bool = False,
     unwatched: bool = False,
+    store: bool = False,
+    through: Callable[[World], World] = lambda world: world,
 ) -> Moved:
     drive = servo or SimulatedServo(1, LING)
     request = CommissionRequest(
         "simulated", 1, out, nameplate=Nameplate(limits=limits), purpose=purpose, dry_run=dry_run,
-        unwatched=unwatched,
+        unwatched=unwatched, store=store,
     )  # fmt: skip
-    plan = WorldPlan(
-        parse_bus_spec("simulated"), 1_000_000, False, None if faults is None else faults_from(faults, "x")
-    )
+    injected = None if faults is None else faults_from(faults, "x")
+    plan = WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, injected)
     tap, heard, told = Tap(drive, at_speed), SdoWrites(), list[str]()
     tap.when = when or tap.when
     before: dict[Any, bytes] = {}
@@ -163,9 +165,9 @@ def moved(
         result = Commissioned()
         try:
             result = commission(
-                request, world, dialog(told.append), stop or EmergencyStop(), None, steps, writes
+                request, through(world), dialog(told.append), stop or EmergencyStop(), None, steps, writes
             )
-        except RuntimeError as defect:
+        except (RuntimeError, Killed) as defect:
             result.defect = str(defect)
         world.clock.sleep_until(Instant(world.clock.now() + round(AFTER_S * NS_PER_S)))
     assert dry_run or heard.unlisted(writes, SIMULATED_DRIVE) == []

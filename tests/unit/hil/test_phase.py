@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 from servobench.design.motor import Commutation, PmsmParameters
 from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.nmt_states import NmtCommand
 from servobench.drivers.canopen.objects import RemoteObjects
 from servobench.drivers.cia402.drive_setup import read_identity
 from servobench.drivers.errors import BadInput, PeerFault
@@ -70,9 +71,18 @@ def undone(out: Path, servo: SimulatedServo) -> dict[tuple[int, int], bytes]:
     return memory(servo)
 
 
-def test_what_is_found_is_kept_proved_and_undone_to_the_byte(tmp_path: Path) -> None:
+def after_reset(servo: SimulatedServo) -> dict[tuple[int, int], bytes]:
+    """What the drive holds when it has come up again."""
+    with open_world(WorldPlan(parse_bus_spec("simulated"), 1_000_000), [servo]) as world:
+        network = CanopenNetwork(world.link, world.clock)
+        network.command(NmtCommand.RESET_NODE, 1)
+        network.pump(Instant(world.clock.now() + 500 * NS_PER_MS))
+    return memory(servo)
+
+
+def test_what_is_found_is_kept_proved_stored_and_undone_to_the_byte(tmp_path: Path) -> None:
     servo = drive(offset_rad=1.9, lines_swapped=True, pole_pairs_set=3)
-    done = phased(tmp_path, servo)
+    done = phased(tmp_path, servo, store=True)
     assert done.result.exit_status == 0, done.told
     inner = servo.drive.firmware.inner
     assert (inner.lines_mirrored, inner.commutation_pole_pairs) == (0, 4.0)
@@ -82,7 +92,8 @@ def test_what_is_found_is_kept_proved_and_undone_to_the_byte(tmp_path: Path) -> 
     assert figures(done)["pole_pairs"] == 4
     done.tap.assert_rest()
     assert max(done.tap.turns) - min(done.tap.turns) < 1.0
-    assert any("What was found stays in 2120:01, 2120:02, 2120:03" in text for text in done.told)
+    assert any("The settings were stored in the drive (1010h)" in text for text in done.told)
+    assert after_reset(servo) == done.after
     assert undone(tmp_path, servo) == done.before
 
 
