@@ -30,8 +30,8 @@ FOLLOWED = [
     path for path in DOCUMENTS if any(block.runs for block in blocks(path.read_text(encoding="utf-8")))
 ]
 """The README, then the others: of those ``make stranger`` types all, ``make test`` none."""
-TUTORIALS = {"tutorial-pytest.md", "tutorial-commissioning.md", "tutorial-review.md"}
-REAL_TIME = {"tutorial-commissioning.md", "tutorial-pytest.md"}
+TUTORIALS = {"tutorial-pytest.md", "tutorial-commissioning.md", "tutorial-review.md", "box-to-axis.md"}
+REAL_TIME = {"tutorial-commissioning.md", "tutorial-pytest.md", "box-to-axis.md"}
 """They use a hub: not beside what else is measured in real time."""
 TIMEOUT_S = 600 if STRANGER else 110
 """The stranger's wheel is interpreted, and each of its commands is a process of its own."""

@@ -1,7 +1,9 @@
 """What is known of drives beside their objects."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -123,3 +125,27 @@ def test_a_drive_of_a_known_make_is_scaled_by_it() -> None:
     assert "maxon_epos4.toml" in scaling.sources["torque"]
     assert read_scaling(objects, replace(NOTHING, position_rad=0.5)).position_rad == 0.5
     bus.shutdown()
+
+
+def test_the_table_of_makers_in_the_docs_is_that_of_their_files() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "box-to-axis.md").read_text(encoding="utf-8")
+    rows = [
+        [cell.strip() for cell in line.split("|")[1:-1]] for line in page.splitlines() if line[:2] == "| "
+    ]
+    told = {f"{row[0]}.toml": row[1:] for row in rows[1:]}
+
+    def indices(objects: Iterable[int]) -> str:
+        return ", ".join(f"{index:04X}h" for index in dict.fromkeys(objects))
+
+    for family in known_families():
+        if family.name == "servobench.toml":
+            continue
+        vendor, texts, units, motor, commutation, stamp = told.pop(family.name)
+        assert vendor == f"{family.vendor:08X}h"
+        assert texts == ("yes" if family.texts or family.numbers else "")
+        assert bool(units) == bool(family.quirks)
+        assert motor == indices(each.index for each in (family.motor.objects if family.motor else ()))
+        settings = family.commutation.settings if family.commutation else ()
+        assert commutation == indices(each.index for each in settings)
+        assert stamp == (indices([family.stamp.index]) if family.stamp else "")
+    assert told == {}
