@@ -10,7 +10,7 @@ import pytest
 from servobench.drivers.cia402.profile import State
 from servobench.drivers.errors import BadInput, PeerFault
 from servobench.drivers.timebase import NS_PER_S, Duration
-from servobench.hil.inspecting.loading import Loaded, LoadRequest, load_parameters
+from servobench.hil.inspecting.loading import Loaded, LoadRequest, concise_dcf, load_parameters
 from servobench.hil.inspecting.parameters import ParameterSet, for_node, read_parameters
 from servobench.hil.restoring.journal import read_journal
 from tests.parameters.roundtrip import NODE, RATE, Bench, MortalHost, differing, on_a_bench, tried
@@ -83,8 +83,9 @@ def test_drawn_settings_come_back_after_a_reset_and_after_kills(sheet: Path, tmp
          {(0x1016, 1): number(0x30100), (0x1016, 2): number(0x20100)}),
         ({}, {(0x1014, 0): number(0x6A0)}),
         ({}, {(0x1800, 1): number(0x6A1), (0x1A00, 0): b"\1", (0x1A00, 1): number(0x606C0020)}),
+        ({}, {(0x1A00, 0): b"\1", (0x1A00, 2): number(0x60770010)}),
     ],
-    ids=["1019h wants 1006h at 0", "1016h swapped", "1014h wants bit 31", "a PDO"],
+    ids=["1019h wants 1006h at 0", "1016h swapped", "1014h wants bit 31", "a PDO", "an unused entry"],
 )  # fmt: skip
 def test_what_the_standard_wants_first_is_done_first_and_undone(
     bench: Bench, factory: ParameterSet, tmp_path: Path, before: dict[Key, bytes], changes: dict[Key, bytes]
@@ -97,6 +98,9 @@ def test_what_the_standard_wants_first_is_done_first_and_undone(
     assert {key: bench.held()[key] for key in changes} == changes
     assert bench.undo(tmp_path) == []
     assert differing(found, bench.held()) == []
+    (tmp_path / "drive.bin").write_bytes(concise_dcf(changed(factory, changes)))
+    assert bench.manage(tmp_path / "drive.bin") == {}
+    assert {key: bench.held()[key] for key in changes} == changes
 
 
 def test_what_is_refused_is_named_and_the_rest_is_loaded(
