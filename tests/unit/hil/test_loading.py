@@ -9,6 +9,7 @@ import pytest
 
 from servobench.drivers.cia402.profile import State
 from servobench.drivers.errors import BadInput, PeerFault
+from servobench.drivers.sheets.concise import read_concise
 from servobench.drivers.timebase import NS_PER_S, Duration
 from servobench.hil.inspecting.loading import Loaded, LoadRequest, concise_dcf, load_parameters
 from servobench.hil.inspecting.parameters import ParameterSet, for_node, read_parameters
@@ -101,6 +102,12 @@ def test_what_the_standard_wants_first_is_done_first_and_undone(
     (tmp_path / "drive.bin").write_bytes(concise_dcf(changed(factory, changes)))
     assert bench.manage(tmp_path / "drive.bin") == {}
     assert {key: bench.held()[key] for key in changes} == changes
+
+
+def test_a_manager_is_not_given_unit_words_of_nothing(factory: ParameterSet, tmp_path: Path) -> None:
+    path, words = tmp_path / "drive.bin", {(0x60A8, 0): number(0x00B50000), (0x60A9, 0): number(0)}
+    path.write_bytes(concise_dcf(changed(factory, words)))
+    assert {0x60A8, 0x60A9} & {entry.place[0] for entry in read_concise(path)} == {0x60A8}
 
 
 def test_what_is_refused_is_named_and_the_rest_is_loaded(
