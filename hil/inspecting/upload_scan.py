@@ -81,11 +81,11 @@ def _ask(network: CanopenNetwork, node: int, index: int, found: Scanned) -> None
     is_record = _is_there(second)
     if is_record:
         members[1] = second
-        head = members[0]
-        last = head[0] if isinstance(head, bytes) and len(head) == 1 else _SUBS_MAX
-        for sub in range(2, min(last, _SUBS_MAX) + 1):
+        head = members[0]  # of some objects not how many there are, but how many count, as in a mapping
+        last = head[0] if isinstance(head, bytes) and len(head) == 1 else 0
+        for sub in range(2, _SUBS_MAX + 1):
             members[sub] = _answer(network, node, index, sub)
-            if members[sub] == _NO_SUB and last == _SUBS_MAX:
+            if members[sub] == _NO_SUB and sub > last:
                 break
     record = ODRecord(_title(index), index) if is_record else None
     for sub, answer in members.items():
