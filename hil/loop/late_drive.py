@@ -12,15 +12,17 @@ most lie from one another, and if another one tells the same or lies on that SYN
 from typing import Final
 
 from servobench.drivers.timebase import Duration
-from servobench.hil.loop.attribution import Question
+from servobench.hil.loop.attribution import Question, Tell
 from servobench.hil.loop.clock_question import ClockQuestion
 from servobench.hil.loop.drive_stamps import DriveStamps
 from servobench.hil.loop.suspects import Suspect
-from servobench.hil.loop.syncs import SURPLUS, SyncLog, SyncMark
+from servobench.hil.loop.syncs import REMEMBERED, SURPLUS, SyncLog, SyncMark
 
 EXPECTED_FOR: Final = 1000
 """Readings for which a drive that stood still is expected to do so again, where stamps are so coarse that
 they hide it."""
+SECONDS_TOLD: Final = 64
+"""Where so many more readings came on SYNCs that had one than on others, that is how the drive sends them."""
 LONGEST: Final = 10
 """SYNCs for which it stands still at the most."""
 
@@ -35,11 +37,13 @@ class LateDrive:
         case: ClockQuestion,
         question: Question,
         period: Duration,
-        error_ns: int,
+        tell: Tell,
     ) -> None:
-        """``error_ns``: of a reading of uncertain place."""
-        self._syncs, self._stamps, self._case = syncs, stamps, case
-        self._question, self._error_ns, self._half = question, error_ns, period // 2
+        """``tell``: takes events."""
+        self._syncs, self._stamps, self._case, self._tell = syncs, stamps, case, tell
+        self._question, self._error_ns, self._half = question, REMEMBERED * period, period // 2
+        self._seconds = 0
+        """Twice the readings on a SYNC that had one, less those on a SYNC of their own; told of once."""
         self._expected = 0
         """Readings left for which it is expected."""
 
@@ -47,6 +51,7 @@ class LateDrive:
         """Return whether a reading that lies on the SYNC of ``mark`` may be of one before that has none; the
         rows of those are in doubt then."""
         self._expected -= self._expected > 0
+        self._seconds -= 0 < self._seconds < SECONDS_TOLD
         if not (before := self._without_reading(mark)):
             return False
         coarse = self._stamps.coarse
@@ -65,12 +70,22 @@ class LateDrive:
     def acquitted(self, suspects: list[Suspect]) -> None:
         """Take note that the clock was not set: ``suspects`` whose stamps lie further off than any before, or
         on a SYNC that has one, are of a drive that was late."""
+        self._count_seconds(sum(suspect.second for suspect in suspects))
         for suspect in suspects:
             mark = self._syncs.nearest(self._stamps.clock.place(suspect.device_ns))
             if mark is not None and (suspect.second or suspect.twice):
                 self._have_one_sync(mark)
         for mark in self._case.note_residuals(suspects):
             self._doubt(self._without_reading(mark))
+
+    def _count_seconds(self, count: int) -> None:
+        """A drive that stands still makes some now and then, one that answers each SYNC twice always."""
+        if self._seconds < SECONDS_TOLD <= self._seconds + 2 * count:
+            self._tell(
+                "it answers each SYNC twice, with different stamps, and which reading is the SYNC's cannot be"
+                " told: they are marked uncertain; let one TPDO alone send the speed, with each SYNC"
+            )
+        self._seconds = min(SECONDS_TOLD, self._seconds + 2 * count)
 
     def _have_one_sync(self, mark: SyncMark) -> None:
         """Two readings lie on the SYNC of ``mark``: one may be of a SYNC before."""

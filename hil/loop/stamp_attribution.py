@@ -66,7 +66,7 @@ class StampAttribution:
         self._transit = transit
         self._case = ClockQuestion(syncs, self.stamps, period, transit, at_arrival)
         self.doubt = PeriodDoubt(syncs, self.stamps, period, transit, tell)
-        self._late = LateDrive(syncs, self.stamps, self._case, self.question, period, self.doubtful_error_ns)
+        self._late = LateDrive(syncs, self.stamps, self._case, self.question, period, tell)
         self._suspects: list[Suspect] = []
         self._slowest = 0  # the longest delay of a suspect that lies on a SYNC
         self._recent: deque[Sample] = deque(maxlen=REVOKED)

@@ -61,9 +61,10 @@ def test_what_a_run_tells_of_a_drive_that_stands_still_is_what_happened(
     assert verdict.wrong == {}, verdict.examples
 
 
-@pytest.mark.parametrize(("seed", "cycles"), [(480849, 60), (480361, 250)])
+@pytest.mark.parametrize(("seed", "cycles"), [(480849, 60), (480361, 250), (480586, 20), (482144, 1270)])
 def test_a_reading_on_the_sync_behind_its_own_is_in_doubt(seed: int, cycles: int) -> None:
     """While calibrating, where one such moved the clock's map by a period and 1405 of 1500 rows were others',
-    and among stamps of 250 us: 27 of 3000."""
+    among stamps of 250 us: 27 of 3000; as the second of a SYNC, 2 us apart, and as a copy of one that put a
+    question: one each."""
     verdict = judged(drawn_plan(seed), cycles)
     assert verdict.wrong == {}, verdict.examples

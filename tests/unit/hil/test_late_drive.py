@@ -130,3 +130,16 @@ def test_two_stamps_of_one_sync_may_be_of_the_one_before(unanswered: int) -> Non
     rig.cycles()
     assert not rig.certain(number + unanswered)
     assert rig.lost(number) is (unanswered == 0)
+
+
+@pytest.mark.parametrize(("every", "told"), [(1, True), (3, False)])
+def test_a_drive_that_answers_each_sync_twice_is_named_once(every: int, told: bool) -> None:
+    rig = Standing()
+    rig.cycles(40)
+    for cycle in range(200):
+        number = rig.log.marks[-1].number + 1
+        rig.sync(number)
+        rig.place(number, 0, DELAY)
+        if cycle % every == 0:
+            rig.place(number, 20_000, DELAY + 200_000)
+    assert sum("answers each SYNC twice" in text for text in rig.told) == told

@@ -27,8 +27,8 @@ def test_a_lag_for_which_half_come_too_soon_is_possible_yet(too_soon: int, lag: 
     assert evidence.verdict(-1, 1, deviation_ns=PERIOD // 8, untidy=False) == lag
 
 
-def test_two_readings_of_a_sync_say_nothing() -> None:
-    """One is held up until the next SYNC has almost its own: neither way to count them is the less likely."""
+def test_the_first_of_two_readings_that_came_too_soon_says_nothing() -> None:
+    """It was held up until just before that SYNC; of others the second one is a copy."""
     log, held = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.BUS), 8
     evidence = OrderEvidence(log, TRANSIT)
     evidence.begin(2 * TRANSIT)
@@ -38,5 +38,7 @@ def test_two_readings_of_a_sync_say_nothing() -> None:
             assert evidence.add(Instant(number * PERIOD - TRANSIT)) == number
         came = evidence.add(Instant(number * PERIOD + 2 * TRANSIT))
         assert came == (0 if number == held + 1 else number)
+        if number == 2:  # a copy of it
+            assert evidence.add(Instant(number * PERIOD + 3 * TRANSIT)) == 0
     assert set(evidence.delays(0)) == {2 * TRANSIT}
     assert len(evidence) == READINGS - 1

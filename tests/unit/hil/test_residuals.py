@@ -128,6 +128,16 @@ def test_a_rare_one_is_cut_and_a_spread_is_not() -> None:
     assert (evenly.cut(-50_000, UNSEEN), evenly.cut(50_000, UNSEEN)) == (-50_000, 50_000)
 
 
+@pytest.mark.parametrize(("width", "residual", "apart"), [(50_000, 80_000, False), (1_000, 5_000, True)])
+def test_one_lies_apart_that_is_further_off_than_most_from_one_another(
+    width: int, residual: int, apart: bool
+) -> None:
+    made = spread_evenly(-width, width)
+    assert made.lies_apart(residual, UNSEEN) is apart
+    assert made.lies_apart(-residual, UNSEEN) is apart
+    assert not made.lies_apart(residual, 3 * residual)
+
+
 def test_a_spread_that_has_ended_is_forgotten() -> None:
     made = spread_evenly(-50_000, 50_000)
     for number in range(WATCHED):
