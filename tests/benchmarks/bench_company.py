@@ -52,7 +52,7 @@ def machine_tables(motor: PmsmParameters, random: Random) -> Tables:
         "coupling": coupling,
         "friction": friction,
         "cogging": [{"per_turn": 6 * motor.pole_pairs, "torque_nm": cogging_nm}],
-        "saturation": {"linear_to_a": 0.45 * peak, "torque_percent": random.uniform(80.0, 89.0)},
+        "saturation": {"linear_to_a": 0.45 * peak, "torque_percent": random.uniform(92.0, 98.0)},
         "temperature": {
             "winding_c": random.uniform(20.0, 100.0),
             "magnet_c": random.uniform(20.0, 80.0),
