@@ -123,7 +123,7 @@ def certificate(
             "None was found.",
         ),
         CertificateTable(
-            f"Objects that were written; now {left['settings']}",
+            f"Objects that were changed; now {left['settings']}",
             ("object", "name", "before", "set to", "left at"),
             list(_objects(result, figures)),
             (0.1, 0.3, 0.2, 0.2, 0.2),
@@ -190,7 +190,7 @@ def _budget(figures: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str, st
                 each["name"],
                 "not known" if each["uncertainty"] is None else _two_digits(each["uncertainty"]),
                 scale,
-                told_figure(each["value"], together(each))[1] or "not known",
+                "not known" if (both := together(each)) is None else _two_digits(both),
                 each["unit"] or "1",
             )
 

@@ -105,7 +105,7 @@ class DriveLeft:
             )
         if self.restoration.complete:
             return (
-                f"All {self.restoration.objects} objects that were changed hold again, byte for byte, what "
+                f"All {self.restoration.objects} objects that were written hold again, byte for byte, what "
                 "they held before; each was read back."
             )
         failures = "; ".join(self.restoration.failures)

@@ -56,7 +56,7 @@ def test_who_where_and_when(folder: Path) -> None:
 def test_each_object_in_decimal_before_and_after(folder: Path) -> None:
     """By the bytes of the report."""
     written = {each["object"]: each for each in read(folder, "figures.json")["written"]}
-    objects = rows(folder, "Objects that were written; now restored")
+    objects = rows(folder, "Objects that were changed; now restored")
     assert [row["object"] for row in objects] == list(written)
     assert len(objects) > 10
     for row in objects:
@@ -112,7 +112,7 @@ def test_a_dry_run_has_one_that_says_so(tmp_path: Path) -> None:
     assert filed["verdict"] == read(tmp_path / "dry", "figures.json")["verdict"]
     steps = {row["result"] for row in rows(tmp_path / "dry", "Steps")}
     assert "not done" in steps
-    assert rows(tmp_path / "dry", "Objects that were written") == []
+    assert rows(tmp_path / "dry", "Objects that were changed") == []
 
 
 @pytest.mark.parametrize(

@@ -133,7 +133,7 @@ UNDO = "hil restore {}/journal.jsonl"
             "restored",
             [
                 AT_REST,
-                "All 3 objects that were changed hold again, byte for byte, what they held before; each was "
+                "All 3 objects that were written hold again, byte for byte, what they held before; each was "
                 "read back.",
             ],
         ),
