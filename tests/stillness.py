@@ -19,8 +19,9 @@ EVERY_S: Final = 0.01 if EMULATED else 0.002
 EXCUSED_MS: Final = 10
 """A process that waited so long for its turn has lost ten cycles of a loop at 1 kHz. A test in real time
 needs a machine that does better; where this one did not, the test may be tried again."""
-STOOD_STILL_MS: Final = 100
-"""Here benches end by their own guards, as they should: no test of what a bench does otherwise can pass."""
+STOOD_STILL_MS: Final = 40
+"""Two periods of the slowest bench whose frames have to come in time: here benches end by their own guards,
+as they should, and no test of what a bench does otherwise can pass."""
 
 
 class Untrue(AssertionError):

@@ -123,9 +123,10 @@ def in_uml() -> bool:
 @pytest.mark.skipif(
     not in_uml(), reason="sets the wall clock: only inside User Mode Linux, which has its own"
 )
-@pytest.mark.parametrize("step_s", few_of([-1, 3600, -3600, 1], 2))
+@pytest.mark.parametrize("step_s", few_of([-30, 3600, -3600, 30], 2))
 def test_a_step_of_the_wall_clock_moves_no_stamp(channel: str, step_s: int) -> None:
-    """Frames before and after the step, all read after it; the echoes of the sender too."""
+    """Frames before and after the step, all read after it; the echoes of the sender too. A step back by less
+    than ``date`` takes could be no step, as stamps then still rise."""
     clock = MonotonicClock()
     handed = []
     with (
