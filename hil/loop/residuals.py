@@ -245,7 +245,9 @@ class Residuals:
 
     def lies_apart(self, residual: int, least_ns: int) -> bool:
         """Return whether it lies further from most of the last ones than these from one another, and than
-        ``least_ns``."""
+        ``least_ns``; not where there are none to lie apart from."""
+        if not self._recent:
+            return False
         ordered = sorted(self._recent)
         rare = len(ordered) // RARE
         low, high = ordered[rare], ordered[-1 - rare]

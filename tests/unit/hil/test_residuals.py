@@ -136,6 +136,7 @@ def test_one_lies_apart_that_is_further_off_than_most_from_one_another(
     assert made.lies_apart(residual, UNSEEN) is apart
     assert made.lies_apart(-residual, UNSEEN) is apart
     assert not made.lies_apart(residual, 3 * residual)
+    assert not Residuals(0.0).lies_apart(residual, UNSEEN)
 
 
 def test_a_spread_that_has_ended_is_forgotten() -> None:
