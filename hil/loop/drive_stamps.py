@@ -221,12 +221,14 @@ class DriveStamps:
 
     def heed_steps(self, stamps: Sequence[int]) -> None:
         """Stamps of SYNCs that a drive heard with jitter lie off the map. Where all advance by a step between
-        those of SYNCs, that is what they are rounded to, be the SYNCs as regular as they may."""
+        those of SYNCs, that is what they are rounded to, be the SYNCs as regular as they may. A step above
+        half a period is the period itself, as a clock that drifts counts it: 999 us of 1000."""
         if self._first is None:
             return
         off = [device_ns - self._first for device_ns in stamps]
         step = math.gcd(self._grid, *off)
-        if len({each % self._period for each in off}) >= PHASES_MIN and self.resolution < step < self._period:
+        phases = {each % self._period for each in off}
+        if len(phases) >= PHASES_MIN and self.resolution < step and 2 * step <= self._period:
             self.resolution = Duration(step)
             self.clock.set_resolution(self.resolution)
             self.unmapped_ns = self._unmapped()

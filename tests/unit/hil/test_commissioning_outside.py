@@ -86,7 +86,7 @@ def ended(result: Commissioned) -> tuple[str, str]:
                 "turn",
                 "no turn could be measured; the shaft turned, and stood before an index pulse",
             ),
-            (stops(2.0), "mechanics", "the shaft ran against something 0.394 turns up"),
+            (stops(2.0), "mechanics", "the shaft ran against something 0.39"),
             (stops(10.0), "mechanics", "the shaft ran against something"),
             (
                 weight(0.6),
