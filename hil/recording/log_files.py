@@ -63,6 +63,9 @@ class Keeper:
         """The end of the run."""
         raise NotImplementedError
 
+    def abandon(self) -> None:
+        """Take no more room on the disk, after it could not be written; most write nothing by themselves."""
+
 
 class RowBlocks:
     """Collects drained rows into fewer, larger blocks; small ones cost more room than their content."""

@@ -19,6 +19,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from importlib.abc import MetaPathFinder
 from pathlib import Path
+from typing import Final
 
 from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from servobench.hil.machine.extras import is_installed
@@ -60,10 +61,10 @@ from servobench.hil.verdict.summary import Summary, summarise
 from servobench.hil.verdict.verdict import RunOutcome
 
 
-def open_keepers(plan: RecordingPlan, review: Review) -> list[Keeper]:
+def open_keepers(plan: RecordingPlan, review: Review, entries: FaultEntries) -> list[Keeper]:
     """Everything that the plan asks for; nothing without a folder.
 
-    ``review``: of the run, for its pages.
+    ``review``: of the run, for its pages; ``entries``: of its fault log.
     """
     if plan.folder is None:
         return []
@@ -74,6 +75,8 @@ def open_keepers(plan: RecordingPlan, review: Review) -> list[Keeper]:
     ]
     if plan.frames:
         keepers.append(FramesKeeper(plan, plan.folder))
+    if plan.faults:
+        keepers.append(FaultsKeeper(plan.folder, entries))
     if plan.period_us:
         keepers.append(NetworkKeeper(plan.folder, review))
     # last, so that on a full disk what is kept for the end is not Rerun's
@@ -96,6 +99,8 @@ _GROWING = (
     BENCH_FILE, RECORDS_FILE, EVENTS_FILE, FRAMES_FILE, INDEX_FILE, FAULTS_FILE, LOAD_FILE,
 )  # fmt: skip
 """Files that are sealed while they grow; the others are written at the end."""
+_ENDS: Final[dict[str, Callable[[Path], None]]] = {FRAMES_FILE: finish_frames, FAULTS_FILE: finish_faults}
+"""What gives a file its end, beside that of the records."""
 _WRITER_DIED = RunOutcome(completed=False, reason="the process of the loop died")
 
 
@@ -132,18 +137,18 @@ class Logger:
         self._faults: list[str] = []
         self._reserve = None if plan.folder is None else Reserve(plan.folder)
         self._sealer = None if plan.folder is None else Sealer(plan.folder)
-        self._keepers: list[Keeper] = open_keepers(plan, self._review)
+        self._fault_entries = FaultEntries(plan.started_at)
+        self._keepers: list[Keeper] = open_keepers(plan, self._review, self._fault_entries)
         self._given_up: list[Keeper] = []
         """Kept alive: a stream of Rerun's whose file cannot be written waits for ever when it is let go."""
+        self._ending = False
+        """What is kept for the end is given back."""
         self._zero = RunZero(plan.started_at)
         self._set_points = SetPointTeller(plan.set_points)
         self._injected = InjectedFaults()
         self._until = plan.started_at
         """End of the known past, on the bench's clock."""
         self._fault_blocks = RingReader(faults, BLOCK_DTYPE)
-        self._fault_entries = FaultEntries(plan.started_at)
-        if plan.faults and plan.folder is not None:
-            self._keepers.append(FaultsKeeper(plan.folder, self._fault_entries))
         self._clock = MonotonicClock()
         self._flushed_at = self._clock.now()
 
@@ -226,25 +231,31 @@ class Logger:
             if count := ring.refused:
                 self._note(f"{count} {more if count > 1 else one} lost, the logger was too slow")
         self._flush()  # who waits for room on a full disk must not take what is kept for the end
-        if self._plan.folder is not None:
-            self._end_records(self._plan.folder)
+        self._release()
         self._for_each(lambda keeper: keeper.finish(self._summary(outcome)))
         if self._plan.folder is not None:
             self._end_summary(self._plan.folder, outcome)
         return self._summary(outcome)
 
-    def _end_records(self, folder: Path) -> None:
-        """First of what is kept for the end: whole records, if they could not be written to their end."""
+    def _release(self) -> None:
+        """Give back what is kept for the end: first of all for the ends of files that were given up."""
+        self._ending = True
         if self._reserve is not None:
             self._reserve.release()
-        if any(fault.startswith(RECORDS_FILE) for fault in self._faults):
-            with suppress(OSError):  # that it is incomplete is told already
+        for keeper in self._given_up:
+            self._end_file_of(keeper)
+
+    def _end_file_of(self, keeper: Keeper) -> None:
+        """Make a file whole that could not be written to its end."""
+        folder = self._plan.folder
+        with suppress(OSError):  # that it is incomplete is told already
+            if folder is None:
+                return
+            if keeper.name == RECORDS_FILE:
                 for fault in whole_records(self._plan, folder):
                     self._note(fault)
-        for name, finish in ((FRAMES_FILE, finish_frames), (FAULTS_FILE, finish_faults)):
-            if any(fault.startswith(name) for fault in self._faults):
-                with suppress(OSError):
-                    finish(folder / name)
+            elif keeper.name in _ENDS:
+                _ENDS[keeper.name](folder / keeper.name)
 
     def _end_summary(self, folder: Path, outcome: RunOutcome) -> None:
         if self._reserve is not None:
@@ -273,8 +284,11 @@ class Logger:
             except OSError as error:
                 self._keepers.remove(keeper)
                 self._given_up.append(keeper)
+                keeper.abandon()
                 if keeper.name != LIVE_VIEW:
                     self._note(f"{keeper.name} is incomplete: {error}")
+                if self._ending:
+                    self._end_file_of(keeper)
 
     def _note(self, fault: str) -> None:
         self._faults.append(fault)

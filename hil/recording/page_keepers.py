@@ -1,7 +1,9 @@
 """What shows a run in Rerun: its page in a file, and the live view."""
 
+import os
 import subprocess
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from uuid import uuid4
 
@@ -65,6 +67,18 @@ class RerunKeeper(PageKeeper):
         super().finish(summary)
         if self._shows_at_end:
             start_viewer(str(self._path))
+
+    def abandon(self) -> None:
+        """Turn what is still written away from the disk.
+
+        The thread of Rerun's that writes has some hundred kilobytes in hand when a write fails, and would put
+        them where there is room again: into what is kept for the ends of the other files.
+        """
+        with open(os.devnull, "wb") as nowhere:
+            for descriptor in os.listdir("/proc/self/fd"):
+                with suppress(OSError):  # that of the listing itself, or closed meanwhile
+                    if os.path.samefile(f"/proc/self/fd/{descriptor}", self._path):
+                        os.dup2(nowhere.fileno(), int(descriptor), inheritable=False)
 
 
 class LiveKeeper(PageKeeper):

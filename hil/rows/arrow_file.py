@@ -187,7 +187,7 @@ def is_whole(path: Path) -> bool:
     """Return True if the file has its end."""
     with path.open("rb") as file:
         file.seek(max(0, file.seek(0, os.SEEK_END) - len(_MAGIC_END)))
-        return file.read() == _MAGIC_END
+        return file.read(len(_MAGIC_END)) == _MAGIC_END
 
 
 def length_of_batch(message: pa.ipc.Message) -> int:

@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
 from servobench.hil.loop.cycle_record import ROW
 from servobench.hil.recording import logger as module
-from servobench.hil.recording.log_files import Keeper
+from servobench.hil.recording.log_files import FaultsKeeper, Keeper
 from servobench.hil.recording.logger import Logger
 from servobench.hil.recording.logger_process import LineReader
 from servobench.hil.recording.ring import RingWriter
+from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.events import FaultEntries
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records import Rows
 from servobench.hil.rows.side_rows import EVENT, FRAME, RunEvent, event_row
@@ -141,7 +143,14 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 def keepers(monkeypatch: pytest.MonkeyPatch) -> list[Keeper]:
     """Those that a logger is given when it opens its files."""
     found: list[Keeper] = []
-    monkeypatch.setattr(module, "open_keepers", lambda plan, review: [*found])
+
+    def opened(plan: RecordingPlan, review: Review, entries: FaultEntries) -> list[Keeper]:
+        del review
+        if plan.folder is None or not plan.faults:
+            return [*found]
+        return [*found, FaultsKeeper(plan.folder, entries)]
+
+    monkeypatch.setattr(module, "open_keepers", opened)
     return found
 
 

@@ -11,9 +11,11 @@ import pytest
 
 from servobench.hil.recording.log_files import FramesKeeper, RowBlocks
 from servobench.hil.recording.logger import open_keepers
-from servobench.hil.recording.page_keepers import LiveKeeper
+from servobench.hil.recording.page_keepers import LiveKeeper, RerunKeeper
 from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.events import FaultEntries
 from servobench.hil.rows.records import ROW_DTYPE
+from servobench.hil.rows.run_files import RERUN_FILE
 from servobench.hil.rows.side_rows import FRAME, FRAME_DTYPE
 from servobench.hil.verdict.figures import Figures
 from servobench.hil.verdict.summary import Summary, summarise
@@ -64,12 +66,28 @@ def test_the_live_view_is_served_on_the_loopback_and_needs_no_viewer(
     keeper.finish(summary_of())
 
 
+@pytest.mark.parametrize("abandoned", [True, False])
+def test_a_page_that_is_given_up_takes_no_more_room(tmp_path: Path, abandoned: bool) -> None:
+    plan, other = plan_for(tmp_path), tmp_path / "other"
+    keeper = RerunKeeper(plan, tmp_path, "a-recording", Review(plan.review))
+    keeper.flush()
+    size = (tmp_path / RERUN_FILE).stat().st_size
+    with other.open("w") as file:
+        if abandoned:
+            keeper.abandon()
+        keeper.take(rows_of(synthetic_records(100)), NO_FRAMES, [])
+        keeper.flush()
+        assert ((tmp_path / RERUN_FILE).stat().st_size == size) is abandoned
+        file.write("there")
+    assert other.read_text() == "there"
+
+
 @pytest.mark.parametrize(("view", "real_time", "live"), [(True, True, 1), (True, False, 0), (False, True, 0)])
 def test_only_a_viewed_real_time_run_is_served_live(
     tmp_path: Path, viewers: list[list[str]], view: bool, real_time: bool, live: int
 ) -> None:
     plan = replace(plan_for(tmp_path, real_time), view=view)
-    keepers = open_keepers(plan, Review(plan.review))
+    keepers = open_keepers(plan, Review(plan.review), FaultEntries(plan.started_at))
     assert sum(isinstance(keeper, LiveKeeper) for keeper in keepers) == live == len(viewers)
     for keeper in keepers:
         keeper.finish(summary_of())

@@ -9,13 +9,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from servobench.drivers.timebase import NS_PER_MS
 from servobench.hil.recording import logger as module
 from servobench.hil.recording.log_files import LIVE_VIEW, Keeper
 from servobench.hil.recording.logger import main
+from servobench.hil.rows.events import ENTRY_DTYPE
+from servobench.hil.rows.faults_file import FaultsWriter, read_faults
 from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.records import Rows
+from servobench.hil.rows.side_rows import RunEvent
 from servobench.hil.verdict.verdict import VerdictKind
 from tests.recorded_frames import injected
 from tests.unit.hil.logger_fakes import (
@@ -135,6 +141,7 @@ def test_a_summary_that_cannot_be_written_is_told(
     assert kept.summary.recording_faults == ()
 
 
+@pytest.mark.parametrize("fails_at", ["take", "finish"])
 @pytest.mark.parametrize(
     ("name", "tried"), [("records.arrow", True), ("records.tail", False), ("run.rrd", False)]
 )
@@ -146,6 +153,7 @@ def test_records_that_were_given_up_are_made_whole_with_the_room_that_was_kept(
     monkeypatch: pytest.MonkeyPatch,
     name: str,
     tried: bool,
+    fails_at: str,
 ) -> None:
     calls: list[tuple[Path, int]] = []
 
@@ -155,10 +163,30 @@ def test_records_that_were_given_up_are_made_whole_with_the_room_that_was_kept(
         return ["2 rows lost", "and more"]
 
     monkeypatch.setattr(module, "whole_records", whole)
-    keepers.append(Kept(name, "take"))
+    keepers.append(Kept(name, fails_at))
     summary, _ = log(rings, Input(clock, [OUTCOME]), plan_for(tmp_path))
     assert calls == ([(tmp_path, 32 * 1024)] if tried else [])
     assert summary.recording_faults[1:] == (("2 rows lost", "and more") if tried else ())
+
+
+@pytest.mark.parametrize("fails_at", ["take", "finish"])
+def test_faults_that_were_given_up_have_their_end(
+    rings: Rings, keepers: list[Keeper], clock: Clock, tmp_path: Path, fails_at: str
+) -> None:
+    path = tmp_path / "faults.arrow"
+
+    class Cut(Kept):
+        """Puts a batch into the file, and never its end."""
+
+        def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:
+            writer = FaultsWriter(path)
+            writer.write(np.zeros(3, ENTRY_DTYPE))
+            writer.drop()
+            super().take(rows, frames, events)
+
+    keepers.append(Cut("faults.arrow", fails_at))
+    log(rings, Input(clock, [OUTCOME]), plan_for(tmp_path))
+    assert len(read_faults(path).entries) == 3
 
 
 def test_records_that_cannot_be_made_whole_are_incomplete_and_no_more(

@@ -23,7 +23,7 @@ from servobench.hil.recording.logger import open_keepers
 from servobench.hil.recording.page_keepers import LiveKeeper, RerunKeeper
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.arrow_file import is_whole
-from servobench.hil.rows.events import RunZero
+from servobench.hil.rows.events import FaultEntries, RunZero
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.hil.rows.records_file import read_metadata, read_records
@@ -293,6 +293,7 @@ ALWAYS: Final = ["records.arrow", "events.jsonl", "load.csv"]
     [
         ({}, [*ALWAYS, "frames.arrow", "run.rrd"]),
         ({"frames": False}, [*ALWAYS, "run.rrd"]),
+        ({"faults": True}, [*ALWAYS, "frames.arrow", "faults.arrow", "run.rrd"]),
         ({"period_us": 1000}, [*ALWAYS, "frames.arrow", "network.toml", "run.rrd"]),
         ({"view": True}, [*ALWAYS, "frames.arrow", "run.rrd"]),
         ({"view": True, "real_time": True, "frames": False}, [*ALWAYS, "run.rrd", "live view"]),
@@ -303,5 +304,6 @@ def test_the_plan_says_what_is_kept_and_rerun_comes_last(
     plan: RecordingPlan, viewers: list[list[str]], wish: dict[str, object], names: list[str]
 ) -> None:
     wanted = replace(plan, **wish)  # type: ignore[arg-type]
-    assert [keeper.name for keeper in open_keepers(wanted, Review(wanted.review))] == names
+    opened = open_keepers(wanted, Review(wanted.review), FaultEntries(wanted.started_at))
+    assert [keeper.name for keeper in opened] == names
     assert len(viewers) == names.count("live view")
