@@ -3,6 +3,7 @@
 import math
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -40,7 +41,7 @@ DROPOUTS, BY_CYCLE = "dropouts", "readings"
 """Kinds of track of an axis: dropouts in stretches of the whole run; the fate of each cycle's reading, which
 takes its place where a part of the run is looked into."""
 BROKEN: Final = "BROKEN"
-SETTLING, KEPT, BEYOND, NOT_JUDGED = "Settling", "Kept", "BEYOND", "Not judged"
+SETTLING, KEPT, BEYOND, LATE, NOT_JUDGED = "Settling", "Kept", "BEYOND", "LATE", "Not judged"
 _WINDOWS_MAX: Final = 100
 """Settling windows shown at most; the viewer writes the mere number of states into a lane with more."""
 FEW_SHARE: Final = 0.1
@@ -163,7 +164,7 @@ def lane_colors(track: str, axes: Sequence[str]) -> Mapping[str, int]:
     return {
         _VERDICT: {QUIET: _NOTHING, **_VERDICT_COLORS},
         _LIMITS: {KEPT: GOOD, BROKEN: RED},
-        _ERROR: {QUIET: _NOTHING, SETTLING: DIM, NOT_JUDGED: DIM, KEPT: GOOD, BEYOND: RED},
+        _ERROR: {QUIET: _NOTHING, SETTLING: DIM, NOT_JUDGED: DIM, KEPT: GOOD, BEYOND: RED, LATE: RED},
         _DRIVE: {
             **{state.value.capitalize(): color for state, color in _DRIVE_COLORS.items()},
             "Unknown": DIM,
@@ -235,28 +236,41 @@ def _breaches(limited: Iterable[tuple[Envelope, float | None]]) -> CodeLane:
 
 
 def error_lane(review: Review, plan: ReviewPlan, number: int, begin: int, end: int) -> list[LabelChange]:
-    """From when on the error of speed or position of an axis was kept, beyond its limit, or not counted.
+    """From when on the error of an axis was kept, beyond its limit, late, or not counted.
 
-    ``begin``, ``end``: the first and the last cycle.
+    Limits of a step response and of the following error hold while the axis settles, too. ``begin``,
+    ``end``: the first and the last cycle.
     """
-    speed = review.errors[number]
+    speed, steps = review.errors[number], review.steps[number]
     meter: SpeedErrorMeter | PositionErrorMeter = speed
-    limit, percent = speed_limits(speed, plan.limits)[""], plan.limits.after_load_percent_max
+    limits = plan.limits
+    limit, percent = speed_limits(speed, limits)[""], limits.after_load_percent_max
     limited = [(speed.counted, limit), (speed.after_load, None if percent is None else percent / 100.0)]
+    followed = review.positions[number].following, limits.following_error_peak_rad_max
     if plan.axes[number].quantity == "position":
-        meter, limit = review.positions[number], plan.limits.position_error_peak_rad_max
+        meter, limit = review.positions[number], limits.position_error_peak_rad_max
         limited = [(meter.counted, limit)]
     names = NOT_JUDGED, KEPT, BEYOND
-    judged = [(begin, NOT_JUDGED if limit is None else KEPT)]
-    judged += [(at, names[code]) for at, code in _breaches(limited).changes()]
-    starts = [at for at, _ in judged]
-    marks = [(at, label) for at, label in judged if not any(a <= at < b for a, b in meter.settling)]
-    if len(meter.settling) > _WINDOWS_MAX:
-        return [*(LabelChange(at, label) for at, label in judged), LabelChange(end, QUIET)]
-    for start, stop in meter.settling:
-        marks.append((start, SETTLING))
+    lane = [(begin, NOT_JUDGED if limit is None else KEPT)]
+    lane += [(at, names[code]) for at, code in _breaches(limited).changes()]
+    if len(meter.settling) <= _WINDOWS_MAX:
+        lane = _laid_over(lane, meter.settling, SETTLING, end)
+    follows = [*_breaches([followed]).changes(), (end, 0)]
+    beyond = [(at, then) for (at, code), (then, _) in pairwise(follows) if names[code] == BEYOND]
+    lane = _laid_over(lane, [*beyond, *steps.overshot], BEYOND, end)
+    lane = _laid_over(lane, steps.late, LATE, end)
+    return [*(LabelChange(at, label) for at, label in lane), LabelChange(end, QUIET)]
+
+
+_Marks = list[tuple[int, str]]
+
+
+def _laid_over(lane: _Marks, windows: Sequence[tuple[int, int]], label: str, end: int) -> _Marks:
+    """Return the lane with a label in windows apart from each other; behind each it is what it was."""
+    starts = [at for at, _ in lane]
+    marks = [(at, before) for at, before in lane if not any(a <= at < b for a, b in windows)]
+    for start, stop in windows:
+        marks.append((start, label))
         if stop < end:
-            marks.append((stop, judged[bisect_right(starts, stop) - 1][1]))
-    return [LabelChange(at, label) for at, label in sorted(marks, key=lambda mark: mark[0])] + [
-        LabelChange(end, QUIET)
-    ]
+            marks.append((stop, lane[bisect_right(starts, stop) - 1][1]))
+    return sorted(marks, key=lambda mark: mark[0])

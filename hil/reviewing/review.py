@@ -17,12 +17,12 @@ import hashlib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Instant
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Duration, Instant
 from servobench.hil.loop.cycle_record import CAUSES, FATE_SAMPLE, NAMES, NOTHING
 from servobench.hil.reviewing.certificate_meter import CertificateMeter
 from servobench.hil.reviewing.envelope import Largest, largest
@@ -42,6 +42,7 @@ from servobench.hil.verdict.figures import (
     StepResponse,
     WorstPlace,
 )
+from servobench.hil.verdict.metrics import VerdictLimits
 
 DIGEST_BYTES = 16
 """128 bits: of 2^64 runs two are alike by chance."""
@@ -54,7 +55,7 @@ class _AxisMeters:
         self.axis = axis
         self.network = network
         self.error = SpeedErrorMeter(axis, plan.settling)
-        self.steps = StepMeter(axis, plan.band_percent)
+        self.steps = StepMeter(axis, plan.band_percent, plan.limits, plan.period)
         self.swing = TorqueSwingMeter(axis, plan.settling)
         self.position = PositionErrorMeter(axis, plan.settling, plan.period)
         self.certificate = None if axis.certified is None else CertificateMeter(axis, plan.settling, network)
@@ -100,6 +101,10 @@ class _AxisMeters:
             "speed_error_rms_rad_s_max": (error.rms_rad_s, None),
             "delay_p99_us_max": (self.network.reading.quantile_ns(0.99), None),
             "torque_rms_nm_max": (self.swing.worst.value, self.swing.worst.at),
+            "following_error_peak_rad_max": (
+                self.position.following.peak.value,
+                self.position.following.peak.at,
+            ),
         }
 
 
@@ -121,6 +126,7 @@ class Review:
         """Delays of the readings of each axis."""
         self.errors = [axis.error for axis in self._axes]
         self.positions = [axis.position for axis in self._axes]
+        self.steps = [axis.steps for axis in self._axes]
         self._lateness, self._compute = TimeHistogram(), TimeHistogram()
         self._latest, self._longest = Largest(), Largest()
         self._zero: int | None = None
@@ -219,6 +225,10 @@ def _percentiles_us(times: TimeHistogram) -> Percentiles:
     return Percentiles(p50 / NS_PER_US, p99 / NS_PER_US, largest / NS_PER_US)
 
 
+_WINDOWS_MAX: Final = 100
+"""More windows of broken limits cannot be told apart in a picture."""
+
+
 class _Step(NamedTuple):
     at: int
     of_load: bool
@@ -230,9 +240,21 @@ class _Step(NamedTuple):
 class StepMeter:
     """Feed it rows of its axis in order of sequence; any division into chunks gives the same figures."""
 
-    def __init__(self, axis: AxisPlan, band_percent: float) -> None:
-        """``band_percent``: of the step, or of the reference: within it the speed has settled."""
+    def __init__(
+        self,
+        axis: AxisPlan,
+        band_percent: float,
+        limits: VerdictLimits | None = None,
+        period: Duration = Duration(NS_PER_MS),  # noqa: B008 - an int
+    ) -> None:
+        """``band_percent``: of the step, or of the reference: within it the speed has settled. ``limits``,
+        ``period`` of the loop: for the windows in which a limit was broken."""
         self._band = band_percent / 100.0
+        self._limits, self._period = limits or VerdictLimits(), period
+        self._over_window: tuple[int, int] | None = None
+        """First and last cycle beyond the limit of the overshoot, since the step that is open."""
+        self._late: list[tuple[int, int]] = []
+        self._overshot: list[tuple[int, int]] = []
         self._asked = AskedChanges(axis.acceleration_max_rad_s2)
         self._open: _Step | None = None
         self._outside_at = self._seen_at = 0
@@ -263,7 +285,7 @@ class StepMeter:
             target = float(reference[start])
             self._open = _Step(int(due_at[start]), of_load, target, target if of_load else float(step[start]))
             self._outside_at, self._seen_at = self._open.at, -1
-            self._overshoot_rad_s, self._lasted = 0.0, 0
+            self._overshoot_rad_s, self._lasted, self._over_window = 0.0, 0, None
             self._take(rows[start:end])
             if end < rows.size:
                 self._close()
@@ -287,6 +309,22 @@ class StepMeter:
         return counts
 
     @property
+    def late(self) -> list[tuple[int, int]]:
+        """Return from when to when the speed was outside its band later than a limit allows, ns."""
+        return self._until_next_cycle(self._late, self._late_window())
+
+    @property
+    def overshot(self) -> list[tuple[int, int]]:
+        """Return from when to when a step overshot its limit, ns."""
+        return self._until_next_cycle(self._overshot, self._over_window if self._open else None)
+
+    def _until_next_cycle(
+        self, closed: list[tuple[int, int]], goes_on: tuple[int, int] | None
+    ) -> list[tuple[int, int]]:
+        windows = closed if goes_on is None else [*closed, goes_on]
+        return [(first, last + self._period) for first, last in windows]
+
+    @property
     def instants(self) -> tuple[int | None, int | None, int | None]:
         """When the steps were that the figures come from, ns, in their order."""
         return self._settling.at, self._over.at, self._recovery.at
@@ -303,13 +341,31 @@ class StepMeter:
             self._outside_at = int(came["due_at"][outside[-1]])
         self._seen_at = int(came["due_at"][-1])
         self._overshoot_rad_s = max(self._overshoot_rad_s, float(beyond.max()))
+        most = self._limits.overshoot_percent_max
+        if most is not None and not step.of_load:
+            over = came["due_at"].compress(100.0 * beyond > most * abs(step.size))
+            if over.size:
+                first = int(over[0]) if self._over_window is None else self._over_window[0]
+                self._over_window = first, int(over[-1])
 
     def _close(self) -> None:
         if self._open is not None and not (self._open.of_load and self._lasted == 1):
             self._look(self._open)
             if self._outside_at == self._seen_at:
                 self._unsettled[self._open.of_load] = True
+            for kept, window in ((self._late, self._late_window()), (self._overshot, self._over_window)):
+                if window is not None and len(kept) < _WINDOWS_MAX:
+                    kept.append(window)
         self._open = None  # a load that changes from cycle to cycle makes no steps
+
+    def _late_window(self) -> tuple[int, int] | None:
+        """First and last cycle outside the band that came later than the limit of the step that is open."""
+        if self._open is None:
+            return None
+        limits = self._limits
+        most = limits.recovery_time_ms_max if self._open.of_load else limits.settling_time_ms_max
+        begin = self._open.at + round((most or 0.0) * NS_PER_MS)
+        return None if most is None or self._outside_at <= begin else (begin, self._outside_at)
 
     def _look(self, step: _Step) -> None:
         time_ms = (self._outside_at - step.at) / NS_PER_MS

@@ -235,7 +235,8 @@ class PositionErrorMeter:
         self._step_at = -NEVER
         self._reached_at = np.empty(0, np.int64)
         self._set_points = np.empty(0)
-        self._following_peak: float | None = None
+        self.following = PeakEnvelope()
+        """rad, by the cycle whose reading tells them."""
         self.counted = CountedErrors()
         """rad."""
         self.settling: list[tuple[int, int]] = []
@@ -253,7 +254,7 @@ class PositionErrorMeter:
         return PositionError(
             peak_rad=self.counted.peak.value,
             rms_rad=self.counted.rms,
-            following_peak_rad=self._following_peak,
+            following_peak_rad=self.following.peak.value,
         )
 
     def _take_errors(self, rows: Rows) -> None:
@@ -290,9 +291,7 @@ class PositionErrorMeter:
             read = read.compress(read["sampled_at"] >= reached_at[0])
             origin = reached_at[0]
             way = np.interp(read["sampled_at"] - origin, reached_at - origin, set_points)
-            errors = np.abs(way - read["position_rad"])
-            if errors.size:
-                self._following_peak = max(self._following_peak or 0.0, float(errors.max()))
+            self.following.add(read["due_at"], np.abs(way - read["position_rad"]))
         self._reached_at, self._set_points = reached_at[-_KEPT:], set_points[-_KEPT:]
 
 

@@ -202,7 +202,7 @@ class Meter:
     """An error over time, and when it did not count."""
 
     def __init__(self, errors: Sequence[float], settling: Sequence[tuple[int, int]], peak: float) -> None:
-        self.counted, self.after_load = Envelope(), Envelope()
+        self.counted, self.after_load, self.following = Envelope(), Envelope(), Envelope()
         self.settling = list(settling)
         self.loaded: list[tuple[int, int, float]] = []
         self.reference_peak = peak
@@ -211,6 +211,7 @@ class Meter:
             self.counted.add(STEP * np.arange(len(errors)), np.array(errors))
 
 
+ON_TIME: Final = SimpleNamespace(late=[], overshot=[])
 STEP: Final = 100_000
 """ns; each row has a bucket of its own then."""
 
@@ -227,7 +228,9 @@ def judged(
     other = Meter([], [], 0.0)
     positions = quantity == "position"
     review = SimpleNamespace(
-        errors=[other, Meter([], [], 50.0) if positions else meter], positions=[other, meter]
+        errors=[other, Meter([], [], 50.0) if positions else meter],
+        positions=[other, meter],
+        steps=[ON_TIME, ON_TIME],
     )
     limits = VerdictLimits(speed_error_peak_percent_max=percent, position_error_peak_rad_max=rad)
     axes = (AxisPlan("a", 1.0), AxisPlan("b", 1.0, quantity=quantity))
@@ -297,7 +300,7 @@ def test_an_error_after_a_load_is_held_against_its_own_limit(
     meter = Meter([1.0, 6.0, 1.0, 1.0, 4.0, 1.0, 1.0, 1.0], [], 50.0)
     meter.after_load.add(STEP * np.arange(3, 7), np.array([1.0, 4.0, 1.0, 1.0]) / 20.0)
     limits = VerdictLimits(speed_error_peak_percent_max=peak, after_load_percent_max=after)
-    review = SimpleNamespace(errors=[meter], positions=[])
+    review = SimpleNamespace(errors=[meter], positions=[Meter([], [], 0.0)], steps=[ON_TIME])
     found = error_lane(cast(Review, review), ReviewPlan((AxisPlan("a", 1.0),), limits), 0, 0, 10 * STEP)
     assert [(change.at / STEP, change.label) for change in found] == [*lane, (10, "-")]
 
@@ -310,6 +313,45 @@ def test_without_a_limit_nothing_is_judged() -> None:
         (10, "-"),
     ]
     assert judged([9.0], [], 10.0, "position", None) == [(0, "Not judged"), (10, "-")]
+
+
+def test_what_breaks_a_limit_of_a_step_response_is_seen_while_it_settles() -> None:
+    meter = Meter([4.0] * 9, [(2 * STEP, 8 * STEP)], 50.0)
+    steps = SimpleNamespace(
+        overshot=[(3 * STEP, 5 * STEP)], late=[(4 * STEP, 7 * STEP), (9 * STEP, 10 * STEP)]
+    )
+    review = SimpleNamespace(errors=[meter], positions=[Meter([], [], 0.0)], steps=[steps])
+    limits = VerdictLimits(speed_error_peak_percent_max=10.0)
+    found = error_lane(cast(Review, review), ReviewPlan((AxisPlan("a", 1.0),), limits), 0, 0, 10 * STEP)
+    assert [(change.at // STEP, change.label) for change in found[2:]] == [
+        (2, "Settling"),
+        (3, "BEYOND"),
+        (4, "LATE"),
+        (7, "Settling"),
+        (8, "Kept"),
+        (9, "LATE"),
+        (10, "-"),
+    ]
+
+
+@pytest.mark.parametrize("settles", [False, True])
+def test_an_axis_that_follows_is_held_against_the_limit_of_that_too(settles: bool) -> None:
+    meter = Meter([0.1] * 9, [(0, 9 * STEP)] if settles else [], 0.0)
+    meter.following.add(STEP * np.arange(3), np.array([0.1, 0.3, 0.1]))
+    review = SimpleNamespace(errors=[meter], positions=[meter], steps=[ON_TIME])
+    limits = VerdictLimits(position_error_peak_rad_max=1.0, following_error_peak_rad_max=0.2)
+    axes = (AxisPlan("a", 1.0, quantity="position"),)
+    found = error_lane(cast(Review, review), ReviewPlan(axes, limits), 0, 0, 10 * STEP)
+    beside = "Settling" if settles else "Kept"
+    assert [
+        (change.at // STEP, change.label) for change in found if change.label != "Kept" or not settles
+    ] == [
+        *([] if settles else [(0, "Kept")]),
+        (0, beside),
+        (1, "BEYOND"),
+        (2, beside),
+        (10, "-"),
+    ]
 
 
 @pytest.mark.parametrize(("windows", "shown"), [(100, True), (101, False)])

@@ -9,6 +9,7 @@ from servobench.hil.reviewing.review import StepMeter, worst_steps
 from servobench.hil.rows.recording_plan import AxisPlan
 from servobench.hil.rows.records import Rows
 from servobench.hil.verdict.figures import StepResponse
+from servobench.hil.verdict.metrics import VerdictLimits
 from tests.unit.hil.row_tools import plain_rows
 
 AXIS = AxisPlan("axis1", 6_250.0)
@@ -51,6 +52,39 @@ def test_the_overshoot_of_a_second_order_is_its_closed_form() -> None:
     found = figures(plain_rows(900, reference=80.0, velocity=speed))
     expected = 100.0 * math.exp(-math.pi * damping / math.sqrt(1 - damping**2))
     assert found.overshoot_percent == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize("chunk", [1, 7, CYCLES])
+@pytest.mark.parametrize("most_ms", [20.0, 20.5, 1_000.0])
+def test_a_limit_that_comes_before_the_speed_is_broken_until_it_comes(chunk: int, most_ms: float) -> None:
+    """Settled after 117 ms, recovered after 48."""
+    limits = VerdictLimits(settling_time_ms_max=most_ms, recovery_time_ms_max=most_ms)
+    meter = StepMeter(AXIS, 2.0, limits)
+    rows = first_order()
+    for start in range(0, rows.size, chunk):
+        meter.add(rows[start : start + chunk])
+    came = 1e3 * TAU_S * math.log(1 / 0.02), 1e3 * TAU_S * math.log(0.1 / 0.02)
+    at_ms = [
+        (STEP + most_ms, STEP + math.floor(came[0]) + 1),
+        (LOAD + most_ms, LOAD + math.floor(came[1]) + 1),
+    ]
+    zero = int(rows["due_at"][0])
+    assert [((a - zero) / 1e6, (b - zero) / 1e6) for a, b in meter.late] == (at_ms if most_ms < 48 else [])
+    assert meter.overshot == []
+
+
+@pytest.mark.parametrize("chunk", [1, 7, 900])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_an_overshoot_breaks_its_limit_where_it_is_beyond_it(chunk: int, sign: float) -> None:
+    at = np.arange(900)
+    speed = sign * np.where((at >= 100) & (at < 130), 88.1, np.where(at < 50, 0.0, 88.0))
+    rows = plain_rows(900, reference=sign * 80.0, velocity=speed)
+    meter = StepMeter(AXIS, 20.0, VerdictLimits(overshoot_percent_max=10.0))
+    for start in range(0, rows.size, chunk):
+        meter.add(rows[start : start + chunk])
+    zero = int(rows["due_at"][0])
+    assert [((a - zero) // 1_000_000, (b - zero) // 1_000_000) for a, b in meter.overshot] == [(100, 130)]
+    assert meter.late == []
 
 
 def test_a_step_that_does_not_settle_has_no_time() -> None:
