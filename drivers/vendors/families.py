@@ -4,8 +4,9 @@ One TOML file a family: ``vendor`` (1018h:1), optionally ``products`` (1018h:2) 
 begins). ``[codes]`` has the maker's texts for error codes or ranges of them, ``[numbers]`` what it puts into
 the upper octet of 1003h, both from the file's ``source``. An ``[[entry]]`` tells where an object means
 something else than CiA 402 says, with a ``source`` of its own; what the user says goes first. ``[motor]``,
-``[commutation]`` and ``[stamp]``: see :mod:`servobench.drivers.vendors.motor_objects`,
-:mod:`servobench.drivers.vendors.commutation_objects` and :mod:`servobench.drivers.vendors.stamps`.
+``[commutation]``, ``[gains]`` and ``[stamp]``: see :mod:`servobench.drivers.vendors.motor_objects`,
+:mod:`servobench.drivers.vendors.commutation_objects`, :mod:`servobench.drivers.vendors.gain_objects` and
+:mod:`servobench.drivers.vendors.stamps`.
 """
 
 import tomllib
@@ -17,6 +18,7 @@ from typing import Any
 
 from servobench.drivers.errors import BadInput
 from servobench.drivers.vendors.commutation_objects import CommutationObjects, read_commutation
+from servobench.drivers.vendors.gain_objects import GainObjects, read_gains
 from servobench.drivers.vendors.motor_objects import (
     MotorObjects,
     one_line,
@@ -25,7 +27,7 @@ from servobench.drivers.vendors.motor_objects import (
 )
 from servobench.drivers.vendors.stamps import STANDARD_STAMP, StampProfile, read_stamp
 
-_FACTS = {"source", "codes", "numbers", "entry", "motor", "commutation", "stamp"}
+_FACTS = {"source", "codes", "numbers", "entry", "motor", "commutation", "gains", "stamp"}
 _KEYS = {"vendor", "products", "device_name", *_FACTS}
 
 
@@ -68,6 +70,8 @@ class DriveFamily:
     """Where its drives keep their motor data; None: no source says."""
     commutation: CommutationObjects | None = None
     """Where its drives keep how encoder and rotor are joined; None: no source says."""
+    gains: GainObjects | None = None
+    """Where its drives keep the gains of their loops; None: no source says."""
     stamp: StampProfile | None = None
     """How its drives stamp; None: no source reports a difference from CiA 301."""
 
@@ -117,6 +121,7 @@ def read_family(text: str, name: str) -> DriveFamily:
         quirks=tuple(_quirk(entry, name, number) for number, entry in enumerate(tables.get("entry", ()))),
         motor=read_motor_objects(tables["motor"], name) if "motor" in tables else None,
         commutation=read_commutation(tables["commutation"], name) if "commutation" in tables else None,
+        gains=read_gains(tables["gains"], name) if "gains" in tables else None,
         stamp=read_stamp(tables["stamp"], name) if "stamp" in tables else None,
     )
 
@@ -173,6 +178,16 @@ def commutation_for(vendor: int, product: int, device_name: str) -> CommutationO
         family.commutation
         for family in known_families()
         if family.commutation is not None and family.fits(vendor, product, device_name)
+    )
+    return next(fitting, None)
+
+
+def gains_for(vendor: int, product: int, device_name: str) -> GainObjects | None:
+    """Return the objects of the first family that a drive may belong to; None if none is known."""
+    fitting = (
+        family.gains
+        for family in known_families()
+        if family.gains is not None and family.fits(vendor, product, device_name)
     )
     return next(fitting, None)
 

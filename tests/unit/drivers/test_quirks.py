@@ -140,12 +140,13 @@ def test_the_table_of_makers_in_the_docs_is_that_of_their_files() -> None:
     for family in known_families():
         if family.name == "servobench.toml":
             continue
-        vendor, texts, units, motor, commutation, stamp = told.pop(family.name)
+        vendor, texts, units, motor, commutation, gains, stamp = told.pop(family.name)
         assert vendor == f"{family.vendor:08X}h"
         assert texts == ("yes" if family.texts or family.numbers else "")
         assert bool(units) == bool(family.quirks)
         assert motor == indices(each.index for each in (family.motor.objects if family.motor else ()))
         settings = family.commutation.settings if family.commutation else ()
         assert commutation == indices(each.index for each in settings)
+        assert gains == indices(each.index for each in family.gains or ())
         assert stamp == (indices([family.stamp.index]) if family.stamp else "")
     assert told == {}
