@@ -210,6 +210,8 @@ class Simulation(Section):
     """The same for both inductances."""
     current_bandwidth_hz: float | None = Field(default=None, gt=0)
     """Bandwidth of the PI current loops; default: a twentieth of the inner rate."""
+    gain_objects: bool = False
+    """The drive has the gains of its own loops as objects: 2121h, or those of its data sheet's maker."""
     lacks: Annotated[tuple[Lack, ...], Field(strict=False)] = ()
     """Parts that the drive lacks: objects ("6074"), sub-indices ("1400:5"), "tpdo events"."""
     eds: str | None = None

@@ -101,7 +101,8 @@ class SimulatedAxis:
         self._fail = fail
         self._following = WindowTimer()
         self._counts_per_rad = firmware.counts_per_rad
-        self._gain = POSITION_BANDWIDTH * firmware.speed_bandwidth_rad_s
+        self.position_gain = POSITION_BANDWIDTH * firmware.speed_bandwidth_rad_s
+        """Of the position loop, 1/s."""
 
     # ---- where it is ----------------------------------------------------------------------------------
 
@@ -149,7 +150,7 @@ class SimulatedAxis:
         """Be at ``count`` now, and at ``counts_per_s`` when the period ends."""
         self.demand = count
         error_rad = (count - self._inner.count) / self._counts_per_rad
-        speed = self.cut_speed(counts_per_s / self._counts_per_rad + self._gain * error_rad)
+        speed = self.cut_speed(counts_per_s / self._counts_per_rad + self.position_gain * error_rad)
         holds = counts_per_s == 0.0 and abs(error_rad) < _HOLDS_RAD
         self._run(speed, self.guarded and self._bars(0.0 if holds else speed, free=False))
 

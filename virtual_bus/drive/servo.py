@@ -37,6 +37,7 @@ from servobench.virtual_bus.drive.failures import COMMUNICATION_ERROR, LOSS_CODE
 from servobench.virtual_bus.drive.firmware import Firmware, InnerControl
 from servobench.virtual_bus.drive.holding_brake import HoldingBrake
 from servobench.virtual_bus.drive.lacks import take_away
+from servobench.virtual_bus.drive.loop_gains import told_gains
 from servobench.virtual_bus.drive.machine import SimulatedMachine
 from servobench.virtual_bus.drive.motion_objects import MotionObjects
 from servobench.virtual_bus.drive.operation_mode import OperationMode
@@ -90,6 +91,7 @@ class ServoApplication(Application):
         self._take_commutation = told_commutation(dictionary, inner, machine, self.units.check_state)
         self.machine = SimulatedMachine(dictionary, counts, inner, self.motor.mechanism, self.units)
         self.axis = SimulatedAxis(self.firmware, objects, motion, self.units, self.machine, self.fail)
+        self._take_gains = told_gains(dictionary, self.axis, self.drive.gain_objects)
         self._modes: dict[int, OperationMode] = {int(mode): make(self.axis) for mode, make in MODES.items()}
         self._mode = self._modes[objects.mode.default]
         self._actual = ActualValues(self.firmware, objects, self.units)
@@ -141,6 +143,7 @@ class ServoApplication(Application):
             self.objects.mode_display.value = mode
         self.axis.take_guards()
         self._take_commutation()
+        self._take_gains()
         self._controlword = 0
         self.units.origin = 0.0
         self.units.take()

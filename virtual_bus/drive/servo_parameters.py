@@ -83,6 +83,8 @@ class DriveParameters(FirmwareParameters):
     makers_units: tuple[tuple[str, Quirk], ...] = ()
     """Meanings of its maker's objects beside CiA 402-2, by
     :func:`servobench.drivers.vendors.families.quirks_for`."""
+    gain_objects: bool = False
+    """It has the gains of its loops as objects; see :mod:`servobench.virtual_bus.drive.loop_gains`."""
     load: LoadTable | None = None
     """Load over time available by 2100h:3; None: none."""
 

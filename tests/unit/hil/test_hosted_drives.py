@@ -99,6 +99,7 @@ def test_a_drive_stamps_as_its_tables_say() -> None:
         "stamp_runs": False,
         "sync_jitter_us": 400.0,
         "sync_phase_us": 100.0,
+        "gain_objects": True,
     }
     (drive,) = simulated_drives(bench_with(simulation=keys))
     parameters = drive.drive.drive

@@ -10,6 +10,7 @@ from servobench.drivers.canopen.objects301 import DataType
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode
 from servobench.virtual_bus.drive.homing_methods import HOMING_METHODS
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ServoBench
 
@@ -31,7 +32,7 @@ def test_every_object_of_the_page_is_in_the_dictionary() -> None:
 
 
 def test_the_machines_objects_have_these_types_and_no_other_is_there() -> None:
-    dictionary = ServoBench(motor=ALL_OF_IT).servo.dictionary
+    dictionary = ServoBench(DriveParameters(gain_objects=True), motor=ALL_OF_IT).servo.dictionary
     told = {
         (int(index, 16), int(sub)): DataType[kind]
         for names, kind in MACHINE_ROW.findall(PAGE)
@@ -39,7 +40,7 @@ def test_the_machines_objects_have_these_types_and_no_other_is_there() -> None:
     }
     there = {
         (index, sub): variable.data_type
-        for index in (0x2100, 0x2110, 0x2120)
+        for index in (0x2100, 0x2110, 0x2120, 0x2121)
         for sub, variable in dictionary.object(index).members.items()
         if sub
     }
