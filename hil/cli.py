@@ -67,6 +67,7 @@ from servobench.hil.terminal.simulate import simulate
 from servobench.hil.terminal.stop import stop
 from servobench.hil.terminal.supervision import is_supervised, supervised, unsupervised
 from servobench.hil.terminal.trace import trace
+from servobench.hil.terminal.tune import tune
 from servobench.hil.terminal.verify import verify
 from servobench.hil.terminal.view import missing_display, say_served, view
 from servobench.hil.terminal.why import why
@@ -292,7 +293,9 @@ def doctor(as_json: JsonOption = False) -> None:
 
 add_commands(app, init, simulate, presets, doctor, docs, panel="Run")
 add_commands(app, scan, trace, fault, stop, io, eds, adapter, panel="Inspect")
-add_commands(app, commission, jog, homing, brake, phase, measure, fit, restore, rehearse, panel="Commission")
+add_commands(
+    app, commission, jog, homing, brake, phase, tune, measure, fit, restore, rehearse, panel="Commission"
+)
 add_commands(app, view, why, review, runs, compare, picture, export, recover, panel="Review")
 app.add_typer(campaign, rich_help_panel="Run")
 app.add_typer(params, rich_help_panel="Inspect")

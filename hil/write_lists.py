@@ -11,7 +11,7 @@ from typing import Final
 from servobench.drivers.canopen.objects301 import Cia301
 from servobench.drivers.canopen.write_list import NOTHING, ListedWrite, Product, WriteList
 from servobench.drivers.cia402.objects402 import CONTROL, MOTION, SET_UP, Object, listed
-from servobench.drivers.vendors.families import commutation_for
+from servobench.drivers.vendors.families import commutation_for, gains_for
 from servobench.virtual_bus.drive.load_object import (
     LOAD_COURSE_SUB,
     LOAD_DELAY_SUB,
@@ -122,6 +122,35 @@ PHASE: Final = (
     )
 ).named("hil phase")
 """Of a known maker's drive its own objects too, once it has said whose it is."""
+
+
+def makers_gains(product: Product) -> tuple[ListedWrite, ...]:
+    """Return the objects in which a drive of this make keeps the gains of its loops."""
+    known = gains_for(product.vendor, product.code, product.device_name)
+    return tuple(
+        ListedWrite(
+            range(each.index, each.index + 1),
+            (each.sub,),
+            "Loop gains",
+            "gains as computed",
+            "hil tune --apply",
+            product,
+        )
+        for each in known or ()
+    )
+
+
+TUNE: Final = (
+    RESTORE
+    | WriteList(
+        "tune",
+        (
+            *makers_gains(SIMULATED_DRIVE),
+            listed(Cia301.STORE_PARAMETERS, "the drive keeps its settings", "with --store", (1,)),
+        ),
+    )
+).named("hil tune")
+"""Of a known maker's drive its own objects too, once it has said whose it is."""
 IO: Final = WriteList("hil io", (listed(Object.DIGITAL_OUTPUTS, "outputs as asked for", "--set", (1, 2)),))
 STOP: Final = CONTROL.named("hil stop")
 FAULT: Final = CONTROL.named("hil fault")
@@ -137,6 +166,7 @@ COMMANDS: Final[Mapping[str, WriteList]] = MappingProxyType(
         "homing": HOMING,
         "brake": BRAKE,
         "phase": PHASE,
+        "tune": TUNE,
         "io": IO,
         "restore": RESTORE,
         "stop": STOP,

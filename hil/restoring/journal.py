@@ -27,7 +27,7 @@ from servobench.drivers.errors import MISSING, BadInput, TransferAborted
 from servobench.drivers.timebase import Clock
 from servobench.drivers.wire.link import BusLink
 from servobench.drivers.written_file import sync_folder, write_synced
-from servobench.hil.write_lists import RESTORE, makers_commutation
+from servobench.hil.write_lists import RESTORE, makers_commutation, makers_gains
 
 _BIT_RATES: Final = range(10_000, 1 << 32)
 VERSION = 1
@@ -227,7 +227,8 @@ def _change(path: Path, number: int, record: dict[str, Any], head: JournalHead) 
         write = ObjectWrite(key, bytes.fromhex(record["old"]), bytes.fromhex(record["new"]))
     except (KeyError, TypeError, ValueError) as error:
         raise BadInput(str(path), f"line {number}", record, "object, old and new", str(error)) from None
-    makers = makers_commutation(Product(head.mark.vendor, head.mark.product, ""))
+    product = Product(head.mark.vendor, head.mark.product, "")
+    makers = makers_commutation(product) + makers_gains(product)
     listed = (key.index, key.sub) in RESTORE or any(each.covers(key.index, key.sub) for each in makers)
     if not head.loads and not listed:
         expected = "an object that hil commission or hil measure writes (hil docs writes)"

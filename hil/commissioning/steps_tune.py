@@ -1,0 +1,309 @@
+"""The steps of ``hil tune``: the gains of a drive's own speed loop, read, computed, written and proved.
+
+Inertia and friction are those of :class:`MechanicsStep`, by speed ramps in the drive's own mode. The loop is
+reckoned as
+
+    L(s) = (P + I/s) e^(-Td s)/(J s + B)        Td = 1.5 periods of the loop, where the maker's file has them
+
+in the maker's units, form and structure (``[gains]`` in drivers/vendors). With ``apply`` the gains are
+written, P first where it rises, and the shaft is turned as before: a speed that scatters more than it did
+takes them back.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from servobench.design.errors import DesignError
+from servobench.design.hinf.margins import Response
+from servobench.design.speed.drive_loop import (
+    DrivePi,
+    LoopFigures,
+    closed_by,
+    figures_of,
+    pi_for_bandwidth,
+    pi_for_phase_margin,
+    shaft_plant,
+)
+from servobench.drivers.canopen.objects301 import object_name
+from servobench.drivers.canopen.write_list import WriteList
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.errors import PeerFault
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.vendors.families import gains_for, motor_objects_for
+from servobench.drivers.vendors.gain_objects import GAINS, GainObjects, LoopGains
+from servobench.hil.commissioning.drive_port import QUANTITY_OF_MODE
+from servobench.hil.commissioning.exercise import OVERSPEED
+from servobench.hil.commissioning.findings import StepFailed, StepOutcome
+from servobench.hil.commissioning.request import PlateLimits
+from servobench.hil.commissioning.sequence import Step
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps_manual import ManualStep, SpeedUnits, set_up_steps
+from servobench.hil.commissioning.steps_mechanics import MechanicsStep, ramp_time
+from servobench.hil.loop.scenario import Quantity, Ramp, Segment
+from servobench.hil.restoring.journal import ObjectKey
+from servobench.hil.write_lists import makers_gains
+
+_RANGE_HZ: Final = (0.05, 5000.0)
+_PERIODS: Final = 1.5
+"""From a sample of the speed until the torque made of it has its mean effect, in periods of the loop."""
+_PROOF_S: Final = 0.6
+_WORSE: Final = 3.0
+"""Factor of the speed's scatter at which new gains are taken back."""
+_QUIET_RPM: Final = 0.5
+"""A scatter below this is none, whatever it was before."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TuneRequest:
+    """One demand, and what is to be done with the gains that meet it."""
+
+    bandwidth_hz: float | None = None
+    phase_margin_deg: float | None = None
+    """Neither: the gains are shown as they are."""
+    apply: bool = False
+
+    @property
+    def asks(self) -> bool:
+        """True if gains are to be computed."""
+        return self.bandwidth_hz is not None or self.phase_margin_deg is not None
+
+
+def tune_limits(rpm: float, torque_percent: float, turns: float) -> PlateLimits:
+    """Return the limits of a tuning."""
+    return PlateLimits(speed_max_rpm=rpm, torque_max_percent=torque_percent, turns_max=turns)
+
+
+class TuneUnits(SpeedUnits):
+    """Only a drive's own speed loop can be tuned by speeds."""
+
+    modes = tuple(mode for mode, quantity in QUANTITY_OF_MODE.items() if quantity is Quantity.SPEED)
+
+
+class TuneMechanics(MechanicsStep):
+    """Inertia and friction of the shaft as it is."""
+
+    needs = ("stop",)
+
+    def left_out(self, session: Session) -> str | None:
+        """Raise PeerFault, before anything turns, for a drive whose gains are not known."""
+        if lack := _lack(session):
+            raise PeerFault(lack)
+        return super().left_out(session)
+
+
+class TuneSpeed(ManualStep):
+    """Reads, computes, writes and proves the gains of the speed loop."""
+
+    name = "tune"
+    title = "Speed loop"
+    limit = "the demand cannot be met, or the shaft scatters more than before"
+
+    def __init__(self, how: TuneRequest) -> None:
+        self._how = how
+        self.needs = ("stop", "mechanics") if how.asks else ("stop",)
+        self.moves = how.apply
+
+    def lack(self, session: Session) -> str:
+        return _lack(session)
+
+    def plan(self, session: Session, /) -> str:
+        limits, how = session.limits, self._how
+        loop = _loop(session)
+        names = ", ".join(object_name(each.index, each.sub) for each in loop.objects.values())
+        if not how.apply:
+            return f"read {names}, and write nothing"
+        return (
+            f"read {names}, write P and I, and turn the shaft before and after at "
+            f"{0.5 * limits.speed_rad_s / RAD_S_PER_RPM:.3g} r/min with {limits.torque_nm:.4g} N m at most; "
+            "a speed that scatters more than before takes them back; it is stopped by any key, at "
+            f"{OVERSPEED * limits.speed_rad_s / RAD_S_PER_RPM:.4g} r/min, and "
+            f"{limits.travel_rad / math.tau:.4g} turns from here"
+        )
+
+    def move(self, session: Session, outcome: StepOutcome) -> None:
+        loop, how = _loop(session), self._how
+        held = {key: _held(session, loop, key) for key in loop.objects}
+        _tell_held(outcome, loop, held)
+        outcome.figures["held"] = dict(held)
+        if loop.lack:
+            outcome.say(f"{loop.lack}: nothing can be computed")
+        if not how.asks:
+            return
+        if loop.lack:
+            raise StepFailed(loop.lack, "; ".join(outcome.lines), "use the maker's tool")
+        factor = _torque_factor(session, loop)
+        plant, told = _plant(session, loop)
+        outcome.say(told)
+        before = {key: factor * value for key, value in loop.parallel(held).items()}
+        _tell_figures(outcome, "as it is", _figures(plant, before["p"], before["i"]))
+        made = self._made(plant)
+        raw = loop.raw({"p": made.proportional / factor, "i": made.integral / factor})
+        written = {key: factor * value for key, value in loop.parallel({**held, **raw}).items()}
+        after = _figures(plant, written["p"], written["i"])
+        outcome.figures["raw"] = dict(raw)
+        for key, value in raw.items():
+            each = loop.objects[key]
+            outcome.say(f"{object_name(each.index, each.sub)}, {GAINS[key]}: {held[key]:g} to {value:g}")
+        _tell_figures(outcome, "with these", after)
+        if how.apply:
+            self._apply(session, outcome, loop, held, raw)
+
+    def _made(self, plant: Response) -> DrivePi:
+        how = self._how
+        try:
+            if how.bandwidth_hz is not None:
+                return pi_for_bandwidth(plant, how.bandwidth_hz)
+            assert how.phase_margin_deg is not None, "asks"
+            return pi_for_phase_margin(plant, how.phase_margin_deg, *_RANGE_HZ)
+        except DesignError as error:
+            raise StepFailed(str(error), "", "nothing was written") from error
+
+    def _apply(
+        self,
+        session: Session,
+        outcome: StepOutcome,
+        loop: LoopGains,
+        held: Mapping[str, float],
+        raw: Mapping[str, float],
+    ) -> None:
+        product = session.network.writes.products[session.request.node]
+        session.network.writes.allowed |= WriteList("gains", makers_gains(product))
+        calm = self._scatter_rpm(session)
+        _write(session, loop, held, raw)
+        wild = self._scatter_rpm(session)
+        outcome.say(f"at speed it scattered by {calm:.3g} r/min before, and by {wild:.3g} after")
+        outcome.figures |= {"scatter_rpm_before": calm, "scatter_rpm_after": wild}
+        if wild > max(_WORSE * calm, _QUIET_RPM):
+            _write(session, loop, raw, {key: held[key] for key in raw})
+            raise StepFailed(
+                f"the speed scatters by {wild:.3g} r/min, {calm:.3g} before: the gains were taken back",
+                "; ".join(outcome.lines),
+                "ask for less; is there a coupling between motor and load?",
+            )
+        keys = [ObjectKey(loop.objects[key].index, loop.objects[key].sub) for key in raw]
+        session.kept = {key for key in keys if key in session.network.taken[session.request.node]}
+
+    def _scatter_rpm(self, session: Session) -> float:
+        """Turn the shaft both ways; return the root mean square of its speed about the plateaus' means."""
+        limits, parts = session.limits, []
+        bounded = replace(limits, power_w=math.inf, energy_j=math.inf)
+        for sign in (1.0, -1.0):
+            speed = 0.5 * sign * limits.speed_rad_s
+            rise_s = ramp_time(session, speed)
+            course: list[Segment] = [Ramp(0.0, speed, rise_s), Ramp(rise_s + _PROOF_S, 0.0, rise_s)]
+            with session.exercising(bounded) as exerciser:
+                recording = exerciser.run_speeds(2.0 * rise_s + _PROOF_S + 0.3, course)
+            late = rise_s + 0.5 * _PROOF_S
+            flat = (recording.time > late) & (recording.time < rise_s + _PROOF_S)
+            parts.append(recording.velocity[flat] - np.mean(recording.velocity[flat]))
+        return float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) / RAD_S_PER_RPM
+
+
+def _plant(session: Session, loop: LoopGains) -> tuple[Response, str]:
+    mechanics = session.mechanics
+    delay_s = 0.0 if loop.rate_hz is None else _PERIODS / loop.rate_hz
+    told = (
+        "no public document tells how often the loop is computed: its delay is taken for none"
+        if loop.rate_hz is None
+        else f"the loop is computed at {loop.rate_hz:g} Hz: {delay_s * 1e6:.0f} us of delay"
+    )
+    viscous = max(0.0, mechanics.viscous_friction_nm_s)
+    return shaft_plant(mechanics.inertia_kg_m2, viscous, delay_s), told
+
+
+def _figures(plant: Response, proportional: float, integral: float) -> LoopFigures:
+    low, high = (math.tau * each for each in _RANGE_HZ)
+    return figures_of(closed_by(plant, proportional, integral), low, high)
+
+
+def _known(session: Session) -> GainObjects | None:
+    identity = session.drive.identity
+    assert identity is not None, "the step 'identity' comes first"
+    return gains_for(identity.vendor, identity.product, identity.device_name)
+
+
+def _lack(session: Session) -> str:
+    """Return why the gains of this drive cannot be read; empty if they can."""
+    known = _known(session)
+    loop = None if known is None else known.loops.get("speed")
+    if loop is None:
+        return "no public document names this maker's gain objects: use the maker's tool"
+    for each in loop.objects.values():
+        if session.objects.read_if_there(each.index, each.sub, "B") is None:
+            return f"the drive has no {object_name(each.index, each.sub)}, which its maker's file names"
+    return ""
+
+
+def _loop(session: Session) -> LoopGains:
+    known = _known(session)
+    assert known is not None, "lack() comes first"
+    return known.loops["speed"]
+
+
+def _held(session: Session, loop: LoopGains, key: str) -> float:
+    each = loop.objects[key]
+    return each.raw(session.network.upload(session.request.node, each.index, each.sub))
+
+
+def _write(session: Session, loop: LoopGains, held: Mapping[str, float], raw: Mapping[str, float]) -> None:
+    """Write gains and read them back: P before I where it rises, so that no loop is without its damping."""
+    order = sorted(raw, key="pid".index, reverse=raw["p"] < held["p"])
+    for key in order:
+        each, node = loop.objects[key], session.request.node
+        data = each.data(raw[key])
+        session.network.download(node, each.index, each.sub, data)
+        if (now := _held(session, loop, key)) != each.raw(data):
+            raise StepFailed(
+                f"{object_name(each.index, each.sub)} holds {now:g}", f"{each.raw(data):g} was written"
+            )
+
+
+def _torque_factor(session: Session, loop: LoopGains) -> float:
+    """Return the N m of one unit of the loop's output. Raises StepFailed where nothing tells it."""
+    if loop.output == "torque":
+        return 1.0
+    identity = session.drive.identity
+    assert identity is not None, "the step 'identity' comes first"
+    if loop.ampere == "own":
+        for _, known in motor_objects_for(identity.vendor, identity.product, identity.device_name):
+            for each in known.objects:
+                if each.quantity == "torque_constant_nm_a":
+                    data = session.network.upload(session.request.node, each.index, each.sub)
+                    return each.value(data)[0]
+    rated_ma = session.objects.read_if_there(Object.MOTOR_RATED_CURRENT, 0, "I")
+    if not rated_ma:
+        raise StepFailed("nothing tells the torque of an ampere", "no 6075h", "use the maker's tool")
+    per_rms = session.rated_torque_nm / (1e-3 * rated_ma)
+    return per_rms / math.sqrt(2.0) if loop.ampere == "peak" else per_rms
+
+
+def _tell_held(outcome: StepOutcome, loop: LoopGains, held: Mapping[str, float]) -> None:
+    for key, raw in held.items():
+        each = loop.objects[key]
+        value, unit = each.value(raw), loop.unit_of(key)
+        shown = f" = {value:.6g} {unit}" if value is not None and unit else ""
+        outcome.say(f"{object_name(each.index, each.sub)}, {GAINS[key]}: {raw:g}{shown}")
+
+
+def _tell_figures(outcome: StepOutcome, when: str, figures: LoopFigures) -> None:
+    margins = figures.margins
+    outcome.say(
+        f"{when}: bandwidth {figures.bandwidth_hz:.3g} Hz, phase margin {margins.phase_margin_deg:.3g} "
+        f"degrees, gain margin {margins.gain_margin_db:.3g} dB"
+    )
+    outcome.figures[when] = {
+        "bandwidth_hz": figures.bandwidth_hz,
+        "crossover_hz": figures.crossover_hz,
+        "phase_margin_deg": margins.phase_margin_deg,
+        "gain_margin_db": margins.gain_margin_db,
+    }
+
+
+def tune_steps(how: TuneRequest) -> list[Step]:
+    """Return the steps of ``hil tune``; without a demand nothing turns."""
+    moving: list[Step] = [TuneMechanics()] if how.asks else []
+    return [*set_up_steps(TuneUnits()), *moving, TuneSpeed(how)]
