@@ -17,13 +17,14 @@ against them.
 
 2000h to 5FFFh belong to the maker of a drive (CiA 301): one index means another thing in each make. Such an
 object is written only after 1018h and 1008h have said that the drive is the product named with it. That is
-today the simulated drive, whose load machine is 2100h, and for `hil phase` a drive whose maker's file in
-`drivers/vendors` has a table `[commutation]`: the objects named there.
+today the simulated drive, whose load machine is 2100h, and for `hil phase` and `hil tune` a drive whose
+maker's file in `drivers/vendors` has a table `[commutation]` or `[gains]`: the objects named there.
 
 `hil params load` and `clone` write the parameters that the file or the other drive names, 2000h to 5FFFh too,
 beside 6040h and, with `--store`, 1010h; 1018h has said before that the drive is the file's.
 
-`hil restore`, and the end of `hil commission`, `hil jog`, `hil homing`, `hil brake`, `hil phase` and
+`hil restore`, and the end of `hil commission`, `hil jog`, `hil homing`, `hil brake`, `hil phase`,
+`hil tune` and
 `hil measure`, put back what the journal names, but for what `--apply` keeps; of the other objects they write
 6040h and 1003h alone. A drive file's `[[object]]` may name an object of the list of `hil run`. `hil eds`,
 `hil motor`, `hil trace` and `hil scan` write nothing; `hil scan --assign` gives node-IDs by LSS.

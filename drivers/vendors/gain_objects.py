@@ -20,18 +20,34 @@ import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from servobench.drivers.errors import BadInput
 from servobench.drivers.vendors.motor_objects import QUANTITIES, TYPES, one_line, refuse_unknown
 
-LOOPS: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType({
-    "current": MappingProxyType({"voltage": "V/A"}),
-    "speed": MappingProxyType({"torque": "N m s/rad", "current": "A s/rad"}),
-    "position": MappingProxyType({"speed": "1/s", "torque": "N m/rad", "current": "A/rad"}),
+
+class Units(NamedTuple):
+    """SI units of the gains of a loop, of the parallel form."""
+
+    p: str
+    i: str
+    d: str
+
+
+LOOPS: Final[Mapping[str, Mapping[str, Units]]] = MappingProxyType({
+    "current": MappingProxyType({"voltage": Units("V/A", "V/(A s)", "V s/A")}),
+    "speed": MappingProxyType({
+        "torque": Units("N m s/rad", "N m/rad", "N m s^2/rad"),
+        "current": Units("A s/rad", "A/rad", "A s^2/rad"),
+    }),
+    "position": MappingProxyType({
+        "speed": Units("1/s", "1/s^2", "1"),
+        "torque": Units("N m/rad", "N m/(rad s)", "N m s/rad"),
+        "current": Units("A/rad", "A/(rad s)", "A s/rad"),
+    }),
 })  # fmt: skip
-"""By loop: the unit of its P by what the loop puts out. A parallel I is that per second, a parallel D that
-times a second; an ideal I is 1/s, an ideal D s. V/A are the same in rms and in peak values."""
+"""By loop and by what it puts out. An ideal I is 1/s, an ideal D s. V/A are the same in rms and in peak
+values."""
 GAINS: Final[Mapping[str, str]] = MappingProxyType({
     "p": "proportional gain",
     "i": "integral gain",
@@ -130,13 +146,14 @@ class LoopGains:
             return "Hz"
         if each is None or each.unit is None or not self.output:
             return ""
-        unit = LOOPS[self.loop][self.output]
-        kind = key[0]
+        units, kind = LOOPS[self.loop][self.output], key[0]
+        if kind == "p":
+            return units.p
         if kind == "i":
-            return "1/s" if self.form == "ideal" else f"{unit}/s"
+            return "1/s" if self.form == "ideal" else units.i
         if kind == "d":
-            return "s" if self.form == "ideal" else f"{unit} s"
-        return unit if kind == "p" else ""
+            return "s" if self.form == "ideal" else units.d
+        return ""
 
     def parallel(self, held: Mapping[str, float]) -> dict[str, float]:
         """Return P, I and D in the parallel form and SI units, of raw values by key; what is absent is 0."""

@@ -9,7 +9,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final
+from typing import ClassVar, Final
 
 from servobench.drivers.cia402.motion import HOMED, HomingSetup
 from servobench.drivers.cia402.objects402 import Object
@@ -96,7 +96,7 @@ class Stall:
 class ManualStep(Step):
     """A motion that is not repeated unless somebody says so: it would double its path."""
 
-    needs = ("stop",)
+    needs: ClassVar[tuple[str, ...]] = ("stop",)
     moves = True
     essential = True
     repeatable = False

@@ -34,7 +34,7 @@ from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.errors import PeerFault
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.vendors.families import gains_for, motor_objects_for
-from servobench.drivers.vendors.gain_objects import GAINS, GainObjects, LoopGains
+from servobench.drivers.vendors.gain_objects import GAINS, GainObject, GainObjects, LoopGains
 from servobench.hil.commissioning.drive_port import QUANTITY_OF_MODE
 from servobench.hil.commissioning.exercise import OVERSPEED
 from servobench.hil.commissioning.findings import StepFailed, StepOutcome
@@ -95,29 +95,40 @@ class TuneMechanics(MechanicsStep):
         return super().left_out(session)
 
 
-class TuneSpeed(ManualStep):
-    """Reads, computes, writes and proves the gains of the speed loop."""
+class ShowSpeed(ManualStep):
+    """Reads the gains of the speed loop."""
 
     name = "tune"
     title = "Speed loop"
-    limit = "the demand cannot be met, or the shaft scatters more than before"
+    limit = "the drive does not tell its gains"
+    moves = False
 
     def __init__(self, how: TuneRequest) -> None:
         self._how = how
-        self.needs = ("stop", "mechanics") if how.asks else ("stop",)
-        self.moves = how.apply
 
     def lack(self, session: Session) -> str:
         return _lack(session)
 
     def plan(self, session: Session, /) -> str:
-        limits, how = session.limits, self._how
-        loop = _loop(session)
-        names = ", ".join(object_name(each.index, each.sub) for each in loop.objects.values())
-        if not how.apply:
-            return f"read {names}, and write nothing"
+        return f"read {_names(session)}, and write nothing"
+
+    def move(self, session: Session, outcome: StepOutcome) -> None:
+        _read(session, outcome)
+
+
+class TuneSpeed(ShowSpeed):
+    """Computes others too, writes and proves them."""
+
+    limit = "the demand cannot be met, or the shaft scatters more than before"
+    needs = ("stop", "mechanics")
+    moves = True
+
+    def plan(self, session: Session, /) -> str:
+        limits = session.limits
+        if not self._how.apply:
+            return f"read {_names(session)}, compute P and I, and write nothing"
         return (
-            f"read {names}, write P and I, and turn the shaft before and after at "
+            f"read {_names(session)}, write P and I, and turn the shaft before and after at "
             f"{0.5 * limits.speed_rad_s / RAD_S_PER_RPM:.3g} r/min with {limits.torque_nm:.4g} N m at most; "
             "a speed that scatters more than before takes them back; it is stopped by any key, at "
             f"{OVERSPEED * limits.speed_rad_s / RAD_S_PER_RPM:.4g} r/min, and "
@@ -125,14 +136,7 @@ class TuneSpeed(ManualStep):
         )
 
     def move(self, session: Session, outcome: StepOutcome) -> None:
-        loop, how = _loop(session), self._how
-        held = {key: _held(session, loop, key) for key in loop.objects}
-        _tell_held(outcome, loop, held)
-        outcome.figures["held"] = dict(held)
-        if loop.lack:
-            outcome.say(f"{loop.lack}: nothing can be computed")
-        if not how.asks:
-            return
+        loop, how, held = _loop(session), self._how, _read(session, outcome)
         if loop.lack:
             raise StepFailed(loop.lack, "; ".join(outcome.lines), "use the maker's tool")
         factor = _torque_factor(session, loop)
@@ -232,7 +236,7 @@ def _lack(session: Session) -> str:
     loop = None if known is None else known.loops.get("speed")
     if loop is None:
         return "no public document names this maker's gain objects: use the maker's tool"
-    for each in loop.objects.values():
+    for each in (loop.objects[key] for key in ("p", "i") if key in loop.objects):
         if session.objects.read_if_there(each.index, each.sub, "B") is None:
             return f"the drive has no {object_name(each.index, each.sub)}, which its maker's file names"
     return ""
@@ -281,12 +285,32 @@ def _torque_factor(session: Session, loop: LoopGains) -> float:
     return per_rms / math.sqrt(2.0) if loop.ampere == "peak" else per_rms
 
 
-def _tell_held(outcome: StepOutcome, loop: LoopGains, held: Mapping[str, float]) -> None:
+def _names(session: Session) -> str:
+    return ", ".join(object_name(each.index, each.sub) for each in _there(session).values())
+
+
+def _there(session: Session) -> dict[str, GainObject]:
+    """Return the objects of the loop that this drive has, by key."""
+    return {
+        key: each
+        for key, each in _loop(session).objects.items()
+        if session.objects.read_if_there(each.index, each.sub, "B") is not None
+    }
+
+
+def _read(session: Session, outcome: StepOutcome) -> dict[str, float]:
+    """Read and tell all gains of the loop; return them raw."""
+    loop = _loop(session)
+    held = {key: _held(session, loop, key) for key in _there(session)}
+    outcome.figures["held"] = dict(held)
     for key, raw in held.items():
         each = loop.objects[key]
         value, unit = each.value(raw), loop.unit_of(key)
         shown = f" = {value:.6g} {unit}" if value is not None and unit else ""
         outcome.say(f"{object_name(each.index, each.sub)}, {GAINS[key]}: {raw:g}{shown}")
+    if loop.lack:
+        outcome.say(f"{loop.lack}: nothing can be computed")
+    return held
 
 
 def _tell_figures(outcome: StepOutcome, when: str, figures: LoopFigures) -> None:
@@ -305,5 +329,5 @@ def _tell_figures(outcome: StepOutcome, when: str, figures: LoopFigures) -> None
 
 def tune_steps(how: TuneRequest) -> list[Step]:
     """Return the steps of ``hil tune``; without a demand nothing turns."""
-    moving: list[Step] = [TuneMechanics()] if how.asks else []
-    return [*set_up_steps(TuneUnits()), *moving, TuneSpeed(how)]
+    then: list[Step] = [TuneMechanics(), TuneSpeed(how)] if how.asks else [ShowSpeed(how)]
+    return [*set_up_steps(TuneUnits()), *then]

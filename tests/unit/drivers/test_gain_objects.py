@@ -27,7 +27,7 @@ def test_a_maker_s_raw_values_are_gains_in_si_units_and_back() -> None:
     assert held == pytest.approx({"p": 1.17188, "i": 3906.25, "d": 0.0})
     assert current.raw({"p": 1.17188, "i": 3906.25}) == {"p": 1171880, "i": 3906250}
     assert speed.parallel({"p": 20000, "i": 500000}) == pytest.approx({"p": 0.02, "i": 0.5, "d": 0.0})
-    assert (current.unit_of("p"), current.unit_of("i"), speed.unit_of("i")) == ("V/A", "V/A/s", "A s/rad/s")
+    assert (current.unit_of("p"), current.unit_of("i"), speed.unit_of("i")) == ("V/A", "V/(A s)", "A/rad")
     assert (current.rate_hz, speed.rate_hz) == (25000, 2500)
 
 

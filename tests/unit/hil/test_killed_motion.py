@@ -1,5 +1,5 @@
-"""``hil jog``, ``homing``, ``brake`` and ``phase`` whose host ends by kill -9 before any of its frames: the
-drive comes to rest by itself, and ``hil restore`` puts everything back to the byte.
+"""``hil jog``, ``homing``, ``brake``, ``phase`` and ``tune`` whose host ends by kill -9 before any of its
+frames: the drive comes to rest by itself, and ``hil restore`` puts everything back to the byte.
 """
 
 import math
@@ -14,9 +14,11 @@ import pytest
 from servobench.drivers.timebase import Instant
 from servobench.drivers.wire.link import BusLink, StampSource
 from servobench.hil.commissioning.steps_brake import brake_limits, brake_steps
+from servobench.hil.commissioning.steps_tune import TuneRequest, tune_limits, tune_steps
 from servobench.hil.execution.world import World
 from servobench.hil.restoring.journal import read_journal
 from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from tests.draws import few_of
 from tests.motors import LING
 from tests.parameters.roundtrip import Killed
@@ -59,11 +61,18 @@ def _phase(out: Path, servo: SimulatedServo, **how: Any) -> Moved:
     return phased(out, servo, store=True, **how)
 
 
+def _tune(out: Path, servo: SimulatedServo, **how: Any) -> Moved:
+    steps = lambda: tune_steps(TuneRequest(bandwidth_hz=45.0, apply=True))  # noqa: E731
+    limits = tune_limits(600.0, 50.0, 40.0)
+    return moved(out, steps, limits, purpose="tune", servo=servo, store=True, **how)
+
+
 MOTIONS: Final[dict[str, tuple[Callable[..., Moved], Callable[[], SimulatedServo], int]]] = {
     "homing": (_homing, lambda: SimulatedServo(1, LING), 4290),
     "phase": (_phase, lambda: drive(offset_rad=1.9, lines_swapped=True, pole_pairs_set=3), 4790),
     "jog": (_jog, lambda: SimulatedServo(1, LING), 2040),
     "brake": (_brake, braked, 6180),
+    "tune": (_tune, lambda: SimulatedServo(1, LING, DriveParameters(gain_objects=True)), 22060),
 }
 """Each with a drive for it, and as many frames as its host sends; the last ones store or put back."""
 

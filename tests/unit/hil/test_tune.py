@@ -3,6 +3,7 @@ and leaves, by the dictionary of the drive, and by a node that looks at the shaf
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -13,17 +14,21 @@ from servobench.drivers.canopen.network import CanopenNetwork
 from servobench.drivers.canopen.objects import RemoteObjects
 from servobench.drivers.cia402.drive_setup import read_identity
 from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.drivers.vendors.families import quirks_for
 from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.hil.commissioning.steps_tune import TuneRequest, tune_limits, tune_steps
 from servobench.hil.execution.world import WorldPlan, open_world
 from servobench.hil.restoring.journal import read_journal
 from servobench.hil.restoring.restore import restore
 from servobench.hil.write_lists import RESTORE
+from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
+from servobench.virtual_bus.drive.data_sheet import tell_motor
 from servobench.virtual_bus.drive.loop_gains import LOOP_GAINS
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from tests.motors import LING
 from tests.unit.hil.test_manual_motion import Moved, memory, moved
+from tests.unit.virtual_bus.test_loop_gains import epos4
 
 RUBBING: Final = replace(LING, coulomb_friction_nm=0.1)
 SPEED_P, SPEED_I = (LOOP_GAINS, 4), (LOOP_GAINS, 5)
@@ -33,7 +38,14 @@ def drive(**how: Any) -> SimulatedServo:
     return SimulatedServo(1, RUBBING, DriveParameters(gain_objects=True, **how))
 
 
-def tuned(out: Path, servo: SimulatedServo | None = None, *, store: bool = False, **how: Any) -> Moved:
+def tuned(
+    out: Path,
+    servo: SimulatedServo | None = None,
+    *,
+    store: bool = False,
+    also: Sequence[str] = (),
+    **how: Any,
+) -> Moved:
     return moved(
         out,
         lambda: tune_steps(TuneRequest(**how)),
@@ -41,6 +53,7 @@ def tuned(out: Path, servo: SimulatedServo | None = None, *, store: bool = False
         purpose="tune",
         servo=servo or drive(),
         store=store,
+        also=also,
     )
 
 
@@ -115,3 +128,22 @@ def test_a_drive_whose_maker_tells_no_gains_is_left_alone(tmp_path: Path) -> Non
     assert "the drive has no 2121h:04" in done.result.ended_by
     assert done.after == done.before
     assert not any(done.tap.enabled)
+
+
+def test_of_a_maker_gains_are_written_in_the_maker_s_units(tmp_path: Path) -> None:
+    """EPOS4: uA s/rad and uA/rad, an ampere being worth 3001h:5, in uN m."""
+
+    def vendor(dictionary: ObjectDictionary) -> None:
+        epos4(dictionary)
+        tell_motor(dictionary, RUBBING)
+
+    makers = quirks_for(0xFB, 0, "EPOS4")
+    servo = SimulatedServo(1, RUBBING, DriveParameters(gain_objects=True, makers_units=makers), vendor=vendor)
+    done = tuned(tmp_path, servo, bandwidth_hz=50.0, apply=True, also=["30A2h:01", "30A2h:02"])
+    assert done.result.exit_status == 0, done.told
+    changed = {key for key, held in done.before.items() if done.after[key] != held}
+    assert changed == {(0x30A2, 1), (0x30A2, 2)}
+    inner, per_ampere_nm = servo.drive.firmware.inner, 1e-6 * int(done.before[0x3001, 5])
+    assert int(done.after[0x30A2, 1]) == pytest.approx(inner.speed_gain / per_ampere_nm * 1e6, rel=1e-5)
+    assert figures(done)["with these"]["bandwidth_hz"] == pytest.approx(50.0, rel=1e-3)
+    assert "the loop is computed at 2500 Hz: 600 us of delay" in lines(done)
