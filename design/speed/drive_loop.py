@@ -32,7 +32,7 @@ _BEYOND: Final = 30.0
 
 
 @dataclass(frozen=True, slots=True)
-class LoopFigures:
+class LoopBehaviour:
     """Behaviour of a closed loop."""
 
     bandwidth_hz: float
@@ -54,7 +54,7 @@ class DrivePi:
 
     proportional: float
     integral: float
-    figures: LoopFigures
+    figures: LoopBehaviour
 
 
 def shaft_plant(
@@ -99,10 +99,10 @@ def closed_by(plant: Response, proportional: float, integral: float) -> Response
     return L
 
 
-def figures_of(L: Response, low_rad_s: float, high_rad_s: float) -> LoopFigures:
+def figures_of(L: Response, low_rad_s: float, high_rad_s: float) -> LoopBehaviour:
     """Return the figures of a loop between two frequencies."""
     margins = margins_of(L, low_rad_s, high_rad_s)
-    return LoopFigures(
+    return LoopBehaviour(
         _bandwidth_rad_s(L, low_rad_s, high_rad_s) / math.tau,
         margins.phase_margin_rad_s / math.tau,
         margins,

@@ -26,7 +26,7 @@ from servobench.drivers.errors import BadInput
 from servobench.drivers.vendors.motor_objects import QUANTITIES, TYPES, one_line, refuse_unknown
 
 
-class Units(NamedTuple):
+class GainUnits(NamedTuple):
     """SI units of the gains of a loop, of the parallel form."""
 
     p: str
@@ -34,16 +34,16 @@ class Units(NamedTuple):
     d: str
 
 
-LOOPS: Final[Mapping[str, Mapping[str, Units]]] = MappingProxyType({
-    "current": MappingProxyType({"voltage": Units("V/A", "V/(A s)", "V s/A")}),
+LOOPS: Final[Mapping[str, Mapping[str, GainUnits]]] = MappingProxyType({
+    "current": MappingProxyType({"voltage": GainUnits("V/A", "V/(A s)", "V s/A")}),
     "speed": MappingProxyType({
-        "torque": Units("N m s/rad", "N m/rad", "N m s^2/rad"),
-        "current": Units("A s/rad", "A/rad", "A s^2/rad"),
+        "torque": GainUnits("N m s/rad", "N m/rad", "N m s^2/rad"),
+        "current": GainUnits("A s/rad", "A/rad", "A s^2/rad"),
     }),
     "position": MappingProxyType({
-        "speed": Units("1/s", "1/s^2", "1"),
-        "torque": Units("N m/rad", "N m/(rad s)", "N m s/rad"),
-        "current": Units("A/rad", "A/(rad s)", "A s/rad"),
+        "speed": GainUnits("1/s", "1/s^2", "1"),
+        "torque": GainUnits("N m/rad", "N m/(rad s)", "N m s/rad"),
+        "current": GainUnits("A/rad", "A/(rad s)", "A s/rad"),
     }),
 })  # fmt: skip
 """By loop and by what it puts out. An ideal I is 1/s, an ideal D s. V/A are the same in rms and in peak

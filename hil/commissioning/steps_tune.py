@@ -21,7 +21,7 @@ from servobench.design.errors import DesignError
 from servobench.design.hinf.margins import Response
 from servobench.design.speed.drive_loop import (
     DrivePi,
-    LoopFigures,
+    LoopBehaviour,
     closed_by,
     figures_of,
     pi_for_bandwidth,
@@ -219,7 +219,7 @@ def _plant(session: Session, loop: LoopGains) -> tuple[Response, str]:
     return shaft_plant(mechanics.inertia_kg_m2, viscous, delay_s), told
 
 
-def _figures(plant: Response, proportional: float, integral: float) -> LoopFigures:
+def _figures(plant: Response, proportional: float, integral: float) -> LoopBehaviour:
     low, high = (math.tau * each for each in _RANGE_HZ)
     return figures_of(closed_by(plant, proportional, integral), low, high)
 
@@ -313,7 +313,7 @@ def _read(session: Session, outcome: StepOutcome) -> dict[str, float]:
     return held
 
 
-def _tell_figures(outcome: StepOutcome, when: str, figures: LoopFigures) -> None:
+def _tell_figures(outcome: StepOutcome, when: str, figures: LoopBehaviour) -> None:
     margins = figures.margins
     outcome.say(
         f"{when}: bandwidth {figures.bandwidth_hz:.3g} Hz, phase margin {margins.phase_margin_deg:.3g} "

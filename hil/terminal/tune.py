@@ -17,7 +17,7 @@ def tune(
     ] = None,
     rpm: Annotated[float, valued("--rpm", "RPM", "Largest speed of the shaft.", min=1, max=1e6)] = 600.0,
     turns_max: Annotated[
-        float, valued("--turns-max", "X", "Turns to either side after which it ends.", min=0.1, max=1e4)
+        float, valued("--turns-max", "X", "Path to either side after which it ends.", min=0.1, max=1e4)
     ] = 40.0,
     apply: Annotated[bool, flag("--apply", "Write the gains, and keep them.")] = False,
     store: Annotated[bool, flag("--store", "Have the drive store them (1010h); with --apply.")] = False,

@@ -144,9 +144,8 @@ def moved(
     dry_run: bool = False,
     unwatched: bool = False,
     store: bool = False,
-    through: Callable[[World], World] = lambda world: world,
-    also: Sequence[str] = (),
-) -> Moved:
+    through: Callable[[World], World] = lambda world: world, also: Sequence[str] = (),
+) -> Moved:  # fmt: skip
     drive = servo or SimulatedServo(1, LING)
     request = CommissionRequest(
         "simulated", 1, out, nameplate=Nameplate(limits=limits), purpose=purpose, dry_run=dry_run,
