@@ -182,9 +182,8 @@ class TuneSpeed(ShowSpeed):
         outcome.say(f"at speed it scattered by {calm:.3g} r/min before, and by {wild:.3g} after")
         outcome.figures |= {"scatter_rpm_before": calm, "scatter_rpm_after": wild}
         if wild > max(_WORSE * calm, _QUIET_RPM):
-            _write(session, loop, raw, {key: held[key] for key in raw})
-            raise StepFailed(
-                f"the speed scatters by {wild:.3g} r/min, {calm:.3g} before: the gains were taken back",
+            raise StepFailed(  # the drive is off, and the journal takes back what is not kept
+                f"the speed scatters by {wild:.3g} r/min, {calm:.3g} before: the gains are taken back",
                 "; ".join(outcome.lines),
                 "ask for less; is there a coupling between motor and load?",
             )
