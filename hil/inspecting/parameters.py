@@ -40,9 +40,9 @@ from servobench.drivers.sheets.dictionary import (
 )
 from servobench.drivers.timebase import NS_PER_S, Duration
 from servobench.hil.inspecting.units import Place, SiUnit, read_units, units_of, with_unit
-from servobench.hil.inspecting.upload_scan import EVERY_INDEX, scan_objects
+from servobench.hil.inspecting.upload_scan import EVERY_INDEX, FILES, scan_objects
 
-NO_PARAMETERS: Final = frozenset(
+NO_PARAMETERS: Final = FILES | frozenset(
     {
         Cia301.ERROR_HISTORY,
         Cia301.STORE_PARAMETERS,

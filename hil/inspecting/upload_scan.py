@@ -21,8 +21,8 @@ from servobench.hil.inspecting.units import Place
 
 EVERY_INDEX: Final = (range(0x1000, 0x2000), MANUFACTURER, range(0x6000, 0x6800))
 """Communication, the maker's, and the profile of one axis (CiA 301 clause 7.4.1, CiA 402-2)."""
-_DOMAINS: Final = frozenset({Cia301.STORE_EDS, *range(0x1F20, 0x1F24), *range(0x1F50, 0x1F5A)})
-"""Files and programs, which are no parameters and may take minutes."""
+FILES: Final = frozenset({Cia301.STORE_EDS, *range(0x1F20, 0x1F24), *range(0x1F50, 0x1F5A)})
+"""Files and programs (CiA 302-3): no parameters; they may take minutes, and 1F51h stops a device."""
 _READ_ONLY: Final = frozenset(
     {0x1000, 0x1001, 0x1002, 0x1003, 0x1008, 0x1009, 0x100A, 0x1018, 0x1200, 0x603F, 0x6041, 0x6043, 0x6044}
     | {0x6061, 0x6062, 0x6063, 0x6064, 0x6069, 0x606B, 0x606C, 0x6074, 0x6077, 0x6078, 0x6079, 0x60B9}
@@ -64,7 +64,7 @@ def scan_objects(
     dictionary = ObjectDictionary()  # type: ignore[no-untyped-call]
     dictionary.node_id = node
     found = Scanned(dictionary)
-    for index in (index for each in indices for index in each if index not in _DOMAINS):
+    for index in (index for each in indices for index in each if index not in FILES):
         _ask(network, node, index, found)
     tell(
         f"{len(found.values)} objects found; types of {found.guessed} guessed by their size, and nobody told "

@@ -16,6 +16,7 @@ from servobench.hil.inspecting.parameters import (
     ParameterSet,
     configuration_text,
     differences,
+    parameters_in,
     parameters_of,
 )
 from tests.rehearsals.rehearsal import made_sheet
@@ -105,6 +106,17 @@ def test_numbers_are_written_as_cia_306_has_them() -> None:
     assert value_text(struct.pack("<f", 0.1), DataType.REAL32) == "0.10000000149011612"
     assert value_text(b"abc\0", DataType.VISIBLE_STRING) == "abc"
     assert value_text(b"\x01\xab", DataType.OCTET_STRING) == "01AB"
+
+
+def test_what_starts_a_program_and_what_holds_one_is_no_parameter() -> None:
+    """CiA 302-3: 1F50h program data to 1F59h, 1F20h to 1F23h configurations; 1F5Ah on is nothing of it."""
+    dictionary = dictionary_of(0)
+    for index in (0x1F1F, 0x1F20, 0x1F23, 0x1F24, 0x1F4F, 0x1F50, 0x1F51, 0x1F57, 0x1F59, 0x1F5A):
+        variable = ODVariable("any", index, 0)
+        variable.data_type, variable.access_type = DataType.UNSIGNED8, "rw"
+        dictionary.add_object(variable)
+    found = [each.index for each in parameters_in(dictionary)]
+    assert found == [0x1F1F, 0x1F24, 0x1F4F, 0x1F5A]
 
 
 def test_what_only_one_of_two_has_differs() -> None:
