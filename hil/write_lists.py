@@ -84,12 +84,10 @@ RESTORE: Final = (
     )
 ).named("hil restore")
 """Objects that a journal may name; nothing else is written, except :data:`PUTTING_BACK`."""
-COMMISSION: Final = (
-    RESTORE
-    | WriteList(
-        "orders", (listed(Cia301.STORE_PARAMETERS, "the drive keeps its settings", "with --store", (1,)),)
-    )
-).named("hil commission")
+STORE: Final = WriteList(
+    "orders", (listed(Cia301.STORE_PARAMETERS, "the drive keeps its settings", "with --store", (1,)),)
+)
+COMMISSION: Final = (RESTORE | STORE).named("hil commission")
 JOG: Final = RESTORE.named("hil jog")
 HOMING: Final = RESTORE.named("hil homing")
 BRAKE: Final = RESTORE.named("hil brake")
@@ -111,16 +109,7 @@ def makers_commutation(product: Product) -> tuple[ListedWrite, ...]:
     )
 
 
-PHASE: Final = (
-    RESTORE
-    | WriteList(
-        "phase",
-        (
-            *makers_commutation(SIMULATED_DRIVE),
-            listed(Cia301.STORE_PARAMETERS, "the drive keeps its settings", "with --store", (1,)),
-        ),
-    )
-).named("hil phase")
+PHASE: Final = (RESTORE | STORE | WriteList("phase", makers_commutation(SIMULATED_DRIVE))).named("hil phase")
 """Of a known maker's drive its own objects too, once it has said whose it is."""
 
 
@@ -140,16 +129,7 @@ def makers_gains(product: Product) -> tuple[ListedWrite, ...]:
     )
 
 
-TUNE: Final = (
-    RESTORE
-    | WriteList(
-        "tune",
-        (
-            *makers_gains(SIMULATED_DRIVE),
-            listed(Cia301.STORE_PARAMETERS, "the drive keeps its settings", "with --store", (1,)),
-        ),
-    )
-).named("hil tune")
+TUNE: Final = (RESTORE | STORE | WriteList("tune", makers_gains(SIMULATED_DRIVE))).named("hil tune")
 """Of a known maker's drive its own objects too, once it has said whose it is."""
 IO: Final = WriteList("hil io", (listed(Object.DIGITAL_OUTPUTS, "outputs as asked for", "--set", (1, 2)),))
 STOP: Final = CONTROL.named("hil stop")
@@ -168,7 +148,7 @@ COMMANDS: Final[Mapping[str, WriteList]] = MappingProxyType(
         "phase": PHASE,
         "tune": TUNE,
         "io": IO,
-        "restore": RESTORE,
+        "restore": RESTORE | STORE,
         "stop": STOP,
         "fault": FAULT,
         "scan": NOTHING.named("hil scan"),

@@ -141,16 +141,19 @@ def restore(
         Path, typer.Argument(metavar="JOURNAL", help="journal.jsonl of a commissioning or a measurement.")
     ],
     bus: Annotated[str | None, bus_option("The bus, if its name has changed since.")] = None,
+    store: Annotated[bool, flag("--store", "Have the drive keep what it holds then (1010h).")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Undo every change of a commissioning or a measurement, after a crash or a lost bus.
+
+    What the drive has stored (--store of another command) comes back when it is switched on, but for --store.
 
     Examples:
       hil restore lab/journal.jsonl   # a real drive
     """
     from servobench.hil.commissioning.restore_command import run_restore
 
-    outcome: dict[str, Any] = run_restore(journal, bus)
+    outcome: dict[str, Any] = run_restore(journal, bus, store)
     put(outcome, as_json, lambda _figures: say("\n".join(outcome["text"])))
     raise typer.Exit(ExitStatus.PASSED if outcome["complete"] else ExitStatus.FAILED)
 

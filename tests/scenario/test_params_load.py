@@ -114,7 +114,8 @@ def test_two_drives_are_compared_by_name_and_unit(bus: str, sheet: Path, tmp_pat
         text = f"{text[:at]}ParameterValue={value}{text[text.index(chr(10), at) :]}"
     saved.write_text(text)
     out = tmp_path / "out"
-    assert run("params", "load", saved, "--bus", bus, "--node", OTHER, "--out", out).returncode == 0
+    load = ["params", "load", saved, "--bus", bus, "--node", OTHER, "--out", out, "--store"]
+    assert run(*load).returncode == 0
     compared = ["params", "diff", sheet, "--bus", bus, "--node", NODE, "--other", OTHER]
     done = run(*compared, "--json")
     figures = json.loads(done.stdout)
@@ -134,7 +135,10 @@ def test_two_drives_are_compared_by_name_and_unit(bus: str, sheet: Path, tmp_pat
     same = run("params", "diff", saved, "--bus", bus, "--node", OTHER, "--json")
     assert (same.returncode, json.loads(same.stdout)["differences"]) == (0, [])
     assert run(*compared[:-1], NODE).returncode == 2
-    assert run("restore", out / "journal.jsonl").returncode == 0
+    done = run("restore", out / "journal.jsonl", "--store", "--json")
+    assert (done.returncode, json.loads(done.stdout)["stored"]) == (0, True), done.stderr
+    with Witness(bus.removeprefix("hub:"), OTHER) as witness:
+        witness.reset()
     assert run(*compared).returncode == 0  # what follows the node-ID is no difference
 
 

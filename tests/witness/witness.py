@@ -96,6 +96,16 @@ class Witness:
                 held[key] = value
         return held
 
+    def reset(self) -> None:
+        """Reset the node, and wait until it has booted (CiA 301 7.2.8.2.1.2 and 7.2.8.3.3)."""
+        self._bus.send(can.Message(arbitration_id=0, data=[0x81, self._node], is_extended_id=False))
+        give_up = self._clock.now() + _ANSWER_S * NS_PER_S
+        while self._clock.now() < give_up:
+            message = self._bus.recv(1.0)
+            if message is not None and message.arbitration_id == 0x700 + self._node and message.data[0] == 0:
+                return
+        raise NoAnswerFromDrive
+
     def read(self, index: int, sub: int) -> bytes | None:
         """Upload, expedited or in segments; None if the drive refuses."""
         answer = self._ask(bytes([0x40, index & 0xFF, index >> 8, sub, 0, 0, 0, 0]))

@@ -267,7 +267,7 @@ class Restored:
 
         @contextmanager
         def drive_network(bus: str, bitrate_bit_s: int, writes: WriteList) -> Iterator[object]:
-            assert writes is RESTORE
+            self.stores = writes is not RESTORE
             self.done.append((bus, bitrate_bit_s))
             yield network
 
@@ -282,6 +282,11 @@ class Restored:
             restore_command, "check_mark", lambda objects, mark: self.done.append((objects.node_id, mark))
         )
         monkeypatch.setattr(restore_command, "restore", restore)
+        monkeypatch.setattr(
+            restore_command,
+            "store_settings",
+            lambda over, node: self.done.append(("stored", over is network, node)),
+        )
 
 
 def test_a_drive_that_is_as_it_was_has_it_noted_in_its_journal(
@@ -293,21 +298,35 @@ def test_a_drive_that_is_as_it_was_has_it_noted_in_its_journal(
         "written": 3,
         "complete": True,
         "failures": [],
+        "stored": False,
         "text": ["4 objects, 3 had to be written", "everything is as it was, byte for byte"],
     }
     assert restored.done == [("hub:x", 500_000), (7, 5 * NS_PER_S), (7, MARK), "restored"]
+    assert not restored.stores
     assert read_journal(restored.journal).restored
+
+
+@pytest.mark.parametrize("failures", [[], ["6072h"]])
+def test_a_drive_stores_only_what_is_as_it_was(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, failures: list[str]
+) -> None:
+    restored = Restored(monkeypatch, tmp_path, Restoration(4, 3, failures))
+    outcome = run_restore(restored.journal, None, store=True)
+    assert outcome["stored"] is not bool(failures)
+    assert restored.done[4:] == ([] if failures else [("stored", True, 7)])
+    assert restored.stores
 
 
 def test_what_is_still_different_is_told_and_the_journal_waits(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     restored = Restored(monkeypatch, tmp_path, Restoration(4, 3, ["6072h", "6080h"]))
-    assert run_restore(restored.journal, "socketcan:can0") == {
+    assert run_restore(restored.journal, "socketcan:can0", store=True) == {
         "objects": 4,
         "written": 3,
         "complete": False,
         "failures": ["6072h", "6080h"],
+        "stored": False,
         "text": ["4 objects, 3 had to be written", "still different: 6072h", "still different: 6080h"],
     }
     assert restored.done[0] == ("socketcan:can0", 500_000)

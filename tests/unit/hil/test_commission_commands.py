@@ -83,10 +83,10 @@ def test_what_was_changed_is_put_back_by_its_journal(handed: Handed) -> None:
     told = hil("restore", "journal.jsonl")
     assert (told.exit_code, told.stdout, told.stderr) == (0, "", "one\ntwo\n")
     handed.outcome["complete"] = False
-    told = hil("restore", "journal.jsonl", "--bus", "hub:x", "--json")
+    told = hil("restore", "journal.jsonl", "--bus", "hub:x", "--store", "--json")
     assert (told.exit_code, json.loads(told.stdout), told.stderr) == (1, handed.outcome, "")
     journal = Path("journal.jsonl")
-    assert handed.asked == [(journal, None), (journal, "hub:x")]
+    assert handed.asked == [(journal, None, False), (journal, "hub:x", True)]
 
 
 def test_an_unknown_drive_is_simulated_as_it_is_asked_for(handed: Handed) -> None:
