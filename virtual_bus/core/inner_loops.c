@@ -141,7 +141,7 @@ static double commutated(const Commutation *p, double encoder_rad, double pole_p
 }
 
 /* Electrical angle by mechanical one, as the drive reckons: none where the angle is not its own. */
-static double electrical_ratio(const InnerLoops *self)
+static double ratio_of_angles(const InnerLoops *self)
 {
     const Commutation *p = &self->commutation;
     if (!p->active)
@@ -289,12 +289,12 @@ static double voltage_circle(const InnerLoops *self)
 }
 
 /* d and q currents for the torque, A. */
-static Pair wanted_currents(InnerLoops *self, double torque_nm)
+static Pair wanted_currents(InnerLoops *self, double torque_nm, double electrical_ratio)
 {
     LoopState *state = &self->state;
     if (!self->field.active)
         return (Pair){0.0, torque_nm * self->motor.per_torque_constant};
-    double electrical = electrical_ratio(self) * state->speed_measured_rad_s;
+    double electrical = electrical_ratio * state->speed_measured_rad_s;
     return field_currents(&self->field, &self->believed, torque_nm, current_limit(self), state->weaker_a,
                           voltage_circle(self), electrical);
 }
@@ -313,12 +313,12 @@ static void step_by_speed(InnerLoops *self)
 
 /* PI or state space in d and q with decoupling and back-EMF feed-forward; the voltage circle serves d
    first, and what it cuts off is taken back out of the integrals (no wind-up). */
-static void current_loops(InnerLoops *self, Pair wanted)
+static void current_loops(InnerLoops *self, Pair wanted, double electrical_ratio)
 {
     const LoopParameters *p = &self->loop;
     LoopState *state = &self->state;
     double i_d = state->current_d_measured_a, i_q = state->current_q_measured_a;
-    double electrical = electrical_ratio(self) * state->speed_measured_rad_s;
+    double electrical = electrical_ratio * state->speed_measured_rad_s;
     double error_d = wanted[0] - i_d, error_q = wanted[1] - i_q;
     double v_d = axis_voltage(&p->controller_d, state->controller_d, error_d, p->gain_d, state->integral_d);
     double v_q = axis_voltage(&p->controller_q, state->controller_q, error_q, p->gain_q, state->integral_q);
@@ -384,7 +384,7 @@ static void move_brake(LoopState *state, const LoopParameters *p)
 
    Inverter off: the holding brake closes as soon as the shaft is slow, and opens with the inverter on, but where
    somebody orders otherwise. */
-static void run_firmware(InnerLoops *self)
+static void run_firmware(InnerLoops *self, double electrical_ratio)
 {
     const Demand *demand = &self->demand;
     LoopState *state = &self->state;
@@ -403,10 +403,10 @@ static void run_firmware(InnerLoops *self)
         state->torque_demand_nm = torque;
         if (self->path.active)
             torque = shaped_torque(&self->shaped, &self->path, torque);
-        current_loops(self, wanted_currents(self, torque));
+        current_loops(self, wanted_currents(self, torque, electrical_ratio), electrical_ratio);
         state->next.on = 1.0;
         state->next.angle_rad =
-            angle + 1.5 * self->motor.period_s * electrical_ratio(self) * state->speed_measured_rad_s;
+            angle + 1.5 * self->motor.period_s * electrical_ratio * state->speed_measured_rad_s;
     }
     state->control = demand->control;
     if (self->loop.brake_order != BRAKE_BY_STAGE)
@@ -439,6 +439,7 @@ static void look_at_switches(InnerLoops *self)
 static void run(InnerLoops *self, int64_t ticks)
 {
     self->asked = 0;
+    double electrical_ratio = ratio_of_angles(self); /* nobody writes the commutation meanwhile */
     for (; ticks > 0; ticks--) {
         if (self->load.table.points > 0) {
             if (self->ticks >= self->load.end)
@@ -450,7 +451,7 @@ static void run(InnerLoops *self, int64_t ticks)
         drive_motor(self, self->demand.load_nm);
         if (self->switches.active)
             look_at_switches(self);
-        run_firmware(self);
+        run_firmware(self, electrical_ratio);
         self->ticks++;
     }
 }
