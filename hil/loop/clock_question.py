@@ -123,14 +123,22 @@ class ClockQuestion(AnsweredSyncs):
         last, earlier = suspects[-self.agreeing :], suspects[: -self.agreeing]
         self._stamps.heed_steps([suspect.device_ns for suspect in suspects])
         lines = self._borne_out(self.lines(last, self._low_before(earlier)), earlier)
-        if unlikely and len(lines) == 1 and self._misfit(lines[0], earlier) <= MISFIT_MOST * len(earlier):
-            return lines
+        if unlikely and len(lines) == 1:
+            line = lines[0]
+            if self._misfit(line.moved_by, earlier) <= MISFIT_MOST * len(earlier):
+                return [] if self._explains_nothing(line, suspects) else lines
         lines = [
             line
             for line in lines
             if line.cost <= LIKELY_COST_MAX or (unlikely and line.delay_change < 2 * self._half)
         ]
         return sorted(lines, key=lambda line: (line.cost, line.steps, line.delay_change))
+
+    def _explains_nothing(self, line: Line, suspects: list[Suspect]) -> bool:
+        """Return whether the clock would have been set by whole periods, and delays have changed by as much:
+        stamps lie on SYNCs as well, and arrivals are what they are, without either."""
+        moved = self._misfit(line.moved_by, suspects)
+        return line.steps and line.others and self._misfit(0, suspects) <= moved + EXCLUDING
 
     def _low_before(self, earlier: list[Suspect]) -> int:
         """The smallest delay before a step: that of the first suspects, if several lie on SYNCs as the clock
@@ -151,18 +159,18 @@ class ClockQuestion(AnsweredSyncs):
         them off, as those before a step are, they say nothing."""
         if len(lines) < 2 or not earlier:
             return lines
-        misfits = [self._misfit(line, earlier) for line in lines]
+        misfits = [self._misfit(line.moved_by, earlier) for line in lines]
         if min(misfits) > MISFIT_MOST * len(earlier):
             return lines
         total = [line.misfit + misfit for line, misfit in zip(lines, misfits, strict=True)]
         most = min(total) + EXCLUDING
         return [line for line, misfit in zip(lines, total, strict=True) if misfit <= most]
 
-    def _misfit(self, line: Line, earlier: list[Suspect]) -> float:
-        """By how far suspects before those that it places lie off it."""
+    def _misfit(self, moved_by: int, suspects: list[Suspect]) -> float:
+        """By how far suspects lie off a line on which all are later by ``moved_by``."""
         place, variance, misfit = self._stamps.clock.place, self._stamps.variance_ns2, 0.0
-        for suspect in earlier:
-            miss = self._miss(Instant(place(suspect.device_ns) + line.moved_by))
+        for suspect in suspects:
+            miss = self._miss(Instant(place(suspect.device_ns) + moved_by))
             misfit += min(miss * miss / variance, OUTLYING**2) / 2.0
         return misfit
 

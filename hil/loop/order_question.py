@@ -280,7 +280,9 @@ class OrderQuestion:
 
     def sooner(self) -> int:
         """By how many SYNCs a reading may be a later one's: no reading comes sooner than its frame can."""
-        longest = self._usual.high if self.phase_known else max(self.evidence.delays(0), default=0)
+        longest = max(self.evidence.delays(0), default=0)
+        if self.phase_known:
+            longest = max(longest, self._usual.high)
         return max(0, longest + self._syncs.late_most - self._soonest) // self._period
 
     def lag(self, lags: int, *, beyond: bool, untidy: bool) -> int | None:

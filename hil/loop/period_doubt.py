@@ -68,10 +68,12 @@ class Placing:
 
     @property
     def unexplained(self) -> float:
-        """What the SYNCs leave of the stamps' squares, ns^2. Where echoes err, stamps follow them in part."""
+        """What the SYNCs leave of the stamps' squares, ns^2. Where echoes err, stamps follow them in part,
+        but never by more than all."""
         if self.product <= 0.0:
             return self.stamps_squared
-        return self.stamps_squared - self.product**2 / self.syncs_squared
+        part = min(1.0, self.product / self.syncs_squared)
+        return self.stamps_squared - part * (2.0 * self.product - part * self.syncs_squared)
 
 
 class PeriodDoubt:

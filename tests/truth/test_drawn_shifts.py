@@ -115,3 +115,18 @@ def test_delays_grow_by_no_more_periods_than_readings_are_missing() -> None:
     readings were in doubt: "its readings come 30050 us after their SYNC now", and one was late."""
     verdict = judged(drawn_plan(460469), 1120)
     assert verdict.wrong == {}, verdict.examples
+
+
+def test_a_delay_that_ends_a_little_under_whole_periods_may_have_ended_by_all_of_them() -> None:
+    """2962 us of a gateway, by which readings seemed able to come two SYNCs sooner at most: three was the
+    truth, chance chose another of 32, and 236 rows were told lost."""
+    verdict = judged(drawn_plan(472528), 1290)
+    assert verdict.wrong == {}, verdict.examples
+    assert verdict.readings.uncertain < 30
+
+
+def test_a_clock_that_was_set_by_whole_periods_with_delays_that_grew_by_as_much_explains_nothing() -> None:
+    """Delays that spread over four periods left that as the only way: "its clock was set by +4000 us"."""
+    verdict = judged(drawn_plan(472664), 1200)
+    assert verdict.wrong == {}, verdict.examples
+    assert verdict.readings.uncertain < 130
