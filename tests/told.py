@@ -44,6 +44,7 @@ CHANGING: Final = (
     (re.compile(r"that folder holds .*"), "that folder holds FILES"),
     (re.compile(r"[━─═]+"), "─"),
     (re.compile(r"\b\d\.\d+e-(0[89]|1\d)\b"), "NEARLY-NOTHING"),
+    (re.compile(r"(?<=gap_percent )0\.0\d+"), "NEARLY-NOTHING"),
     (re.compile(r"\.\d+-\d+\.writing"), "PART"),
     (re.compile(r"<svg.*?</svg>", re.DOTALL), ""),
 )
