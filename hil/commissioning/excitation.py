@@ -166,20 +166,42 @@ class SpeedReference(Controller):
         return SpeedSetPoint(context.reference_rad_s)
 
 
-def multisine(frequencies_hz: Array, amplitude: float, seed: int) -> Callable[[float], float]:
-    """Return a sum of equal sines with random phases, with its crest near ``amplitude``."""
+class TimedSpeed(Controller):
+    """Adds a speed as a function of time to the reference."""
+
+    def __init__(self, added: Callable[[float], float], period_s: float) -> None:
+        self._added = added
+        self._period_s = period_s
+        self._cycle = 0
+
+    def output(self, context: Context) -> SetPoint:
+        """Return the speed of this cycle."""
+        return SpeedSetPoint(context.reference_rad_s + self._added(self._cycle * self._period_s))
+
+    def update(self, _context: Context, _command: Command) -> None:
+        """Advance by one period."""
+        self._cycle += 1
+
+
+def multisine(
+    frequencies_hz: Array, amplitude: float, seed: int, weights: Array | float = 1.0
+) -> Callable[[float], float]:
+    """Return a sum of sines with random phases, with its crest near ``amplitude``.
+
+    ``weights``: amplitudes of the sines, of which only the ratios count.
+    """
     random = np.random.Generator(np.random.PCG64(seed))
     omega = 2.0 * math.pi * frequencies_hz
     time = np.arange(0.0, 1.0 / float(np.min(frequencies_hz)), 1.0 / (8.0 * float(np.max(frequencies_hz))))
 
     def crest_of(phases: Array) -> float:
-        return float(np.max(np.abs(np.sin(np.outer(time, omega) + phases).sum(axis=1))))
+        return float(np.max(np.abs((weights * np.sin(np.outer(time, omega) + phases)).sum(axis=1))))
 
     phases = min((random.uniform(0.0, 2.0 * math.pi, len(omega)) for _ in range(20)), key=crest_of)
     crest = crest_of(phases)
 
     def value(time_s: float) -> float:
-        return amplitude * float(np.sin(omega * time_s + phases).sum()) / crest
+        return amplitude * float((weights * np.sin(omega * time_s + phases)).sum()) / crest
 
     return value
 

@@ -2,17 +2,17 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
 from servobench.drivers.canopen.network import CanopenNetwork
 from servobench.drivers.errors import LimitExceeded, PeerFault
-from servobench.drivers.exchange import Command
+from servobench.drivers.exchange import Command, SpeedCommand
 from servobench.drivers.timebase import NS_PER_S, Duration, Instant, duration_s
 from servobench.hil.commissioning.drive_port import DrivePort
-from servobench.hil.commissioning.excitation import SpeedReference, TimedTorque
+from servobench.hil.commissioning.excitation import SpeedReference, TimedSpeed, TimedTorque
 from servobench.hil.commissioning.findings import StepFailed
 from servobench.hil.commissioning.identify import Array
 from servobench.hil.commissioning.outside import refuse_outside
@@ -56,6 +56,8 @@ class Recording:
     """Readings that never came."""
     losses_in_a_row: tuple[int, ...]
     """How often exactly 1, 2, ... readings were lost, late or stale in a row."""
+    speed_given: Array = field(default_factory=lambda: np.zeros(0))
+    """Speed sent in the cycle of each sample; NaN in a torque mode."""
 
     @property
     def speed(self) -> Array:
@@ -218,12 +220,17 @@ class Exerciser:
         return self._run(controller, limits, duration, reference or [], done)
 
     def run_speeds(
-        self, duration: float, reference: list[Segment] | None = None, guard_speed: bool = True
+        self,
+        duration: float,
+        reference: list[Segment] | None = None,
+        guard_speed: bool = True,
+        added: Callable[[float], float] | None = None,
     ) -> Recording:
-        """Run the speeds of ``reference``, otherwise like :meth:`run`. ValueError for a drive that is given
-        torques."""
+        """Run the speeds of ``reference`` and ``added``, otherwise like :meth:`run`. ValueError for a drive
+        that is given torques."""
         limits = speed_limits(self.limits, self.period_s, guard_speed)
-        return self._run(SpeedReference(), limits, duration, reference or [])
+        controller = SpeedReference() if added is None else TimedSpeed(added, self.period_s)
+        return self._run(controller, limits, duration, reference or [])
 
     def rest(self, duration: float) -> Recording:
         """Run with set-points of zero, torques or speeds; see :meth:`run`."""
@@ -317,11 +324,14 @@ def recording_of(records: list[CycleRecord]) -> Recording:
     lost = 0
     origin = records[0].due_at if records else Instant(0)
     acting_nm = sent_nm = 0.0
+    given_rad_s = math.nan
     for record in records:
         observation = record.observation
         acting_nm = sent_nm  # a command acts from behind a SYNC to behind the next one
         if record.command is not None and record.sending is not None:
             sent_nm = record.command.torque_nm
+            if isinstance(record.command, SpeedCommand):
+                given_rad_s = record.command.speed_rad_s
         if isinstance(observation, Dropout):
             lost += observation.cause in (DropoutCause.LOST, DropoutCause.MISSED)
             missing.append(True)
@@ -334,11 +344,12 @@ def recording_of(records: list[CycleRecord]) -> Recording:
                 reading.position_rad,
                 reading.velocity_rad_s,
                 _told_or(reading.torque_nm, acting_nm),
+                given_rad_s,
             )
         )
         if record.sync_on_bus_at is not None:
             delays_us.append((reading.received_at - record.sync_on_bus_at) / 1e3)
-    samples = np.array(rows, dtype=float).reshape(-1, 4)
+    samples = np.array(rows, dtype=float).reshape(-1, 5)
     samples = samples[np.argsort(samples[:, 0], kind="stable")]
     return Recording(
         time=samples[:, 0].copy(),
@@ -349,4 +360,5 @@ def recording_of(records: list[CycleRecord]) -> Recording:
         cycles=len(records),
         lost=lost,
         losses_in_a_row=runs_of(np.array(missing, dtype=bool)),
+        speed_given=samples[:, 4].copy(),
     )
