@@ -3,11 +3,13 @@
 Inertia and friction are those of :class:`MechanicsStep`, by speed ramps in the drive's own mode. The loop is
 reckoned as
 
-    L(s) = (P + I/s) e^(-Td s)/(J s + B)        Td = 1.5 periods of the loop, where the maker's file has them
+    L(s) = (P + I/s) G(s)
 
-in the maker's units, form and structure (``[gains]`` in drivers/vendors). With ``apply`` the gains are
-written, P first where it rises, and the shaft is turned as before: a speed that scatters more than it did
-takes them back.
+in the maker's units, form and structure (``[gains]`` in drivers/vendors), with the G that a response of the
+loop shows (:mod:`servobench.hil.commissioning.loop_response`); without one no gain is computed.
+
+With ``apply`` the gains are written, P first where it rises, the shaft is turned as before, and the response
+is measured again: a speed that scatters more than it did, or a demand that is missed, takes them back.
 """
 
 import math
@@ -18,15 +20,11 @@ from typing import Final
 import numpy as np
 
 from servobench.design.errors import DesignError
-from servobench.design.hinf.margins import Response
 from servobench.design.speed.drive_loop import (
     DrivePi,
     LoopBehaviour,
-    closed_by,
-    figures_of,
     pi_for_bandwidth,
     pi_for_phase_margin,
-    shaft_plant,
 )
 from servobench.drivers.canopen.objects301 import object_name
 from servobench.drivers.canopen.write_list import WriteList
@@ -38,23 +36,34 @@ from servobench.drivers.vendors.gain_objects import GAINS, GainObject, GainObjec
 from servobench.hil.commissioning.drive_port import QUANTITY_OF_MODE
 from servobench.hil.commissioning.exercise import OVERSPEED
 from servobench.hil.commissioning.findings import StepFailed, StepOutcome
+from servobench.hil.commissioning.loop_tuning import RANGE_HZ, LoopTuning
 from servobench.hil.commissioning.request import PlateLimits
 from servobench.hil.commissioning.sequence import Step
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_manual import ManualStep, SpeedUnits, set_up_steps
 from servobench.hil.commissioning.steps_mechanics import MechanicsStep, ramp_time
+from servobench.hil.commissioning.swing_watch import SwingWatch
 from servobench.hil.loop.scenario import Quantity, Ramp, Segment
 from servobench.hil.restoring.journal import ObjectKey
 from servobench.hil.write_lists import makers_gains
 
-_RANGE_HZ: Final = (0.05, 5000.0)
-_PERIODS: Final = 1.5
-"""From a sample of the speed until the torque made of it has its mean effect, in periods of the loop."""
 _PROOF_S: Final = 0.6
 _WORSE: Final = 3.0
 """Factor of the speed's scatter at which new gains are taken back."""
 _QUIET_RPM: Final = 0.5
 """A scatter below this is none, whatever it was before."""
+_LOOKS: Final = 3
+"""A loop is measured so often at most until it is certain enough."""
+_ROUNDS: Final = 3
+"""Gains are written so often at most; the second ones are within a few percent."""
+_NEAR: Final = 0.02
+"""Relative difference to the bandwidth asked for that is left."""
+_NEAR_DEG: Final = 1.5
+_SWING_SHARE: Final = 0.02
+"""Share of the speed limit below which no swing is ended: the scatter decides there."""
+_TORQUE_SHARE: Final = 0.5
+"""Share of the torque limit, of the torque's change from reading to reading: an unstable loop goes from limit
+to limit, however little the shaft turns by it, and noise that does is too much as well."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,75 +134,120 @@ class TuneSpeed(ShowSpeed):
 
     def plan(self, session: Session, /) -> str:
         limits = session.limits
-        if not self._how.apply:
-            return f"read {_names(session)}, compute P and I, and write nothing"
+        write = "and write nothing"
+        if self._how.apply:
+            write = (
+                "write them, and turn it again: a speed that scatters more than before, or a demand that is "
+                "missed, takes them back"
+            )
         return (
-            f"read {_names(session)}, write P and I, and turn the shaft before and after at "
-            f"{0.5 * limits.speed_rad_s / RAD_S_PER_RPM:.3g} r/min with {limits.torque_nm:.4g} N m at most; "
-            "a speed that scatters more than before takes them back; it is stopped by any key, at "
+            f"read {_names(session)}, turn the shaft at "
+            f"{0.5 * limits.speed_rad_s / RAD_S_PER_RPM:.3g} r/min and swing its speed by sines, with "
+            f"{limits.torque_nm:.4g} N m at most, compute P and I, {write}; it is stopped by any key, at "
             f"{OVERSPEED * limits.speed_rad_s / RAD_S_PER_RPM:.4g} r/min, and "
             f"{limits.travel_rad / math.tau:.4g} turns from here"
         )
 
     def move(self, session: Session, outcome: StepOutcome) -> None:
-        loop, how, held = _loop(session), self._how, _read(session, outcome)
+        loop, held = _loop(session), _read(session, outcome)
         if loop.lack:
             raise StepFailed(loop.lack, "; ".join(outcome.lines), "use the maker's tool")
-        factor = _torque_factor(session, loop)
-        plant, told = _plant(session, loop)
-        outcome.say(told)
-        before = {key: factor * value for key, value in loop.parallel(held).items()}
-        _tell_figures(outcome, "as it is", _figures(plant, before["p"], before["i"]))
-        made = self._made(plant)
-        raw = loop.raw({"p": made.proportional / factor, "i": made.integral / factor})
-        written = {key: factor * value for key, value in loop.parallel({**held, **raw}).items()}
-        after = _figures(plant, written["p"], written["i"])
+        tuning = LoopTuning(session, outcome, loop, _torque_factor(session, loop), held)
+        raw = tuning.raw(self._made(tuning))
+        for _ in range(1, _LOOKS):
+            if not tuning.uncertain({**held, **raw}):
+                break
+            tuning.look(held)
+            raw = tuning.raw(self._made(tuning))
+        outcome.say(tuning.told)
+        tuning.tell("as it is", tuning.figures(held))
         outcome.figures["raw"] = dict(raw)
         for key, value in raw.items():
             each = loop.objects[key]
             outcome.say(f"{object_name(each.index, each.sub)}, {GAINS[key]}: {held[key]:g} to {value:g}")
-        _tell_figures(outcome, "with these", after)
-        if how.apply:
-            self._apply(session, outcome, loop, held, raw)
+        tuning.tell("with these", tuning.figures({**held, **raw}))
+        if doubt := tuning.uncertain({**held, **raw}):
+            outcome.say(doubt)
+            if self._how.apply:
+                raise StepFailed(
+                    f"{doubt}: nothing is written",
+                    "; ".join(outcome.lines),
+                    "give more speed (--rpm), or ask for less",
+                )
+        if self._how.apply:
+            self._apply(tuning, held, raw)
 
-    def _made(self, plant: Response) -> DrivePi:
+    def _made(self, tuning: LoopTuning) -> DrivePi:
         how = self._how
         try:
             if how.bandwidth_hz is not None:
-                return pi_for_bandwidth(plant, how.bandwidth_hz)
+                return pi_for_bandwidth(tuning.plant, how.bandwidth_hz)
             assert how.phase_margin_deg is not None, "asks"
-            return pi_for_phase_margin(plant, how.phase_margin_deg, *_RANGE_HZ)
+            return pi_for_phase_margin(tuning.plant, how.phase_margin_deg, RANGE_HZ[0], tuning.known_to_hz)
         except DesignError as error:
-            raise StepFailed(str(error), "", "nothing was written") from error
+            raise StepFailed(
+                str(error), "; ".join(tuning.outcome.lines), "the drive keeps its gains"
+            ) from error
 
-    def _apply(
-        self,
-        session: Session,
-        outcome: StepOutcome,
-        loop: LoopGains,
-        held: Mapping[str, float],
-        raw: Mapping[str, float],
-    ) -> None:
+    def _missed(self, figures: LoopBehaviour) -> str:
+        """Return what of the demand is missed; empty if nothing is."""
+        how = self._how
+        if how.bandwidth_hz is not None:
+            reached, asked = figures.bandwidth_hz, how.bandwidth_hz
+            return "" if abs(reached / asked - 1.0) < _NEAR else f"{reached:.3g} of {asked:g} Hz"
+        assert how.phase_margin_deg is not None, "asks"
+        margin, asked = figures.margins.phase_margin_deg, how.phase_margin_deg
+        return "" if abs(margin - asked) < _NEAR_DEG else f"{margin:.3g} of {asked:g} degrees"
+
+    def _apply(self, tuning: LoopTuning, held: Mapping[str, float], raw: Mapping[str, float]) -> None:
+        """Write gains and prove them; write others where what is measured then is not what was asked for.
+
+        Raises StepFailed: the drive is off, and the journal takes back what is not kept.
+        """
+        session, outcome, loop = tuning.session, tuning.outcome, tuning.loop
         product = session.network.writes.products[session.request.node]
         session.network.writes.allowed |= WriteList("gains", makers_gains(product))
-        calm = self._scatter_rpm(session)
-        _write(session, loop, held, raw)
-        wild = self._scatter_rpm(session)
+        calm = self._scatter_rpm(session, math.inf)
+        now = dict(held)
+        for _ in range(_ROUNDS):
+            _write(session, loop, now, raw)
+            now |= raw
+            wild = self._scatter_rpm(session, max(_WORSE * calm, _QUIET_RPM))
+            outcome.figures |= {"scatter_rpm_before": calm, "scatter_rpm_after": wild}
+            if wild > max(_WORSE * calm, _QUIET_RPM):
+                raise StepFailed(
+                    f"the speed scatters by {wild:.3g} r/min, {calm:.3g} before: the gains are taken back",
+                    "; ".join(outcome.lines),
+                    "ask for less",
+                )
+            tuning.look(now)
+            reached = tuning.figures(now)
+            if not (missed := self._missed(reached) or tuning.uncertain(now)):
+                break
+            raw = tuning.raw(self._made(tuning))
+        tuning.tell("measured with them", reached)
         outcome.say(f"at speed it scattered by {calm:.3g} r/min before, and by {wild:.3g} after")
-        outcome.figures |= {"scatter_rpm_before": calm, "scatter_rpm_after": wild}
-        if wild > max(_WORSE * calm, _QUIET_RPM):
-            raise StepFailed(  # the drive is off, and the journal takes back what is not kept
-                f"the speed scatters by {wild:.3g} r/min, {calm:.3g} before: the gains are taken back",
+        if missed or not reached.stands:
+            raise StepFailed(
+                f"the loop reaches {missed or 'less than 30 degrees of margin'}: the gains are taken back",
                 "; ".join(outcome.lines),
-                "ask for less; is there a coupling between motor and load?",
+                "ask for less",
             )
+        outcome.figures["raw"] = {key: now[key] for key in raw}
         keys = [ObjectKey(loop.objects[key].index, loop.objects[key].sub) for key in raw]
         session.kept = {key for key in keys if key in session.network.taken[session.request.node]}
 
-    def _scatter_rpm(self, session: Session) -> float:
-        """Turn the shaft both ways; return the root mean square of its speed about the plateaus' means."""
+    def _scatter_rpm(self, session: Session, most_rpm: float) -> float:
+        """Turn the shaft both ways; return the root mean square of its speed about the plateaus' means.
+
+        Raises LimitExceeded for a shaft that swings by more than ``most_rpm`` and a share of its speed, or
+        whose torque does; not with infinity, for gains that the drive has had all along.
+        """
         limits, parts = session.limits, []
         bounded = replace(limits, power_w=math.inf, energy_j=math.inf)
+        if most_rpm < math.inf:
+            most_rad_s = max(most_rpm * RAD_S_PER_RPM, _SWING_SHARE * limits.speed_rad_s)
+            session.port.listener = SwingWatch(most_rad_s, _TORQUE_SHARE * limits.torque_nm).look
         for sign in (1.0, -1.0):
             speed = 0.5 * sign * limits.speed_rad_s
             rise_s = ramp_time(session, speed)
@@ -203,24 +257,8 @@ class TuneSpeed(ShowSpeed):
             late = rise_s + 0.5 * _PROOF_S
             flat = (recording.time > late) & (recording.time < rise_s + _PROOF_S)
             parts.append(recording.velocity[flat] - np.mean(recording.velocity[flat]))
+        session.port.listener = None
         return float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) / RAD_S_PER_RPM
-
-
-def _plant(session: Session, loop: LoopGains) -> tuple[Response, str]:
-    mechanics = session.mechanics
-    delay_s = 0.0 if loop.rate_hz is None else _PERIODS / loop.rate_hz
-    told = (
-        "no public document tells how often the loop is computed: its delay is taken for none"
-        if loop.rate_hz is None
-        else f"the loop is computed at {loop.rate_hz:g} Hz: {delay_s * 1e6:.0f} us of delay"
-    )
-    viscous = max(0.0, mechanics.viscous_friction_nm_s)
-    return shaft_plant(mechanics.inertia_kg_m2, viscous, delay_s), told
-
-
-def _figures(plant: Response, proportional: float, integral: float) -> LoopBehaviour:
-    low, high = (math.tau * each for each in _RANGE_HZ)
-    return figures_of(closed_by(plant, proportional, integral), low, high)
 
 
 def _known(session: Session) -> GainObjects | None:
@@ -307,23 +345,11 @@ def _read(session: Session, outcome: StepOutcome) -> dict[str, float]:
         value, unit = each.value(raw), loop.unit_of(key)
         shown = f" = {value:.6g} {unit}" if value is not None and unit else ""
         outcome.say(f"{object_name(each.index, each.sub)}, {GAINS[key]}: {raw:g}{shown}")
+    if loop.rate_hz is not None:
+        outcome.say(f"the drive computes the loop at {loop.rate_hz:g} Hz")
     if loop.lack:
         outcome.say(f"{loop.lack}: nothing can be computed")
     return held
-
-
-def _tell_figures(outcome: StepOutcome, when: str, figures: LoopBehaviour) -> None:
-    margins = figures.margins
-    outcome.say(
-        f"{when}: bandwidth {figures.bandwidth_hz:.3g} Hz, phase margin {margins.phase_margin_deg:.3g} "
-        f"degrees, gain margin {margins.gain_margin_db:.3g} dB"
-    )
-    outcome.figures[when] = {
-        "bandwidth_hz": figures.bandwidth_hz,
-        "crossover_hz": figures.crossover_hz,
-        "phase_margin_deg": margins.phase_margin_deg,
-        "gain_margin_db": margins.gain_margin_db,
-    }
 
 
 def tune_steps(how: TuneRequest) -> list[Step]:

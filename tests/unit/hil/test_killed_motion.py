@@ -72,7 +72,7 @@ MOTIONS: Final[dict[str, tuple[Callable[..., Moved], Callable[[], SimulatedServo
     "phase": (_phase, lambda: drive(offset_rad=1.9, lines_swapped=True, pole_pairs_set=3), 4790),
     "jog": (_jog, lambda: SimulatedServo(1, LING), 2040),
     "brake": (_brake, braked, 6180),
-    "tune": (_tune, lambda: SimulatedServo(1, LING, DriveParameters(gain_objects=True)), 22060),
+    "tune": (_tune, lambda: SimulatedServo(1, LING, DriveParameters(gain_objects=True)), 33820),
 }
 """Each with a drive for it, and as many frames as its host sends; the last ones store or put back."""
 
