@@ -63,6 +63,7 @@ from servobench.hil.terminal.review import review
 from servobench.hil.terminal.run_object import RunCommand, RunObject, read_back
 from servobench.hil.terminal.runs import runs
 from servobench.hil.terminal.scan import scan
+from servobench.hil.terminal.scope import scope
 from servobench.hil.terminal.simulate import simulate
 from servobench.hil.terminal.stop import stop
 from servobench.hil.terminal.supervision import is_supervised, supervised, unsupervised
@@ -292,7 +293,7 @@ def doctor(as_json: JsonOption = False) -> None:
 
 
 add_commands(app, init, simulate, presets, doctor, docs, panel="Run")
-add_commands(app, scan, trace, fault, stop, io, eds, adapter, panel="Inspect")
+add_commands(app, scan, trace, scope, fault, stop, io, eds, adapter, panel="Inspect")
 add_commands(
     app, commission, jog, homing, brake, phase, tune, measure, fit, restore, rehearse, panel="Commission"
 )
