@@ -1,9 +1,9 @@
 """``python -m tests.tuned_drives --count 200``: drawn drives, whose speed loops ``hil tune --apply`` sets.
 
-Each drive has its own rates, encoder, way of sensing speed, inertia, friction, gains before, maker's objects
-and, one in eight, a coupling. The loop that it then has is opened by brute force (:mod:`tests.drive_loops`).
-Prints a line for each and leaves with 1 if a demand was missed by 10 % of the bandwidth or by 5 degrees, or
-if a refusal left an object changed.
+Each drive has its own rates, encoder, way of sensing speed, inertia, friction, gains before, filters, maker's
+objects and, one in eight, a coupling. The loop that it then has is opened by brute force
+(:mod:`tests.drive_loops`). Prints a line for each and leaves with 1 if a demand was missed by 10 % of the
+bandwidth or by 5 degrees, or if a refusal left an object changed.
 """
 
 import argparse
@@ -23,6 +23,7 @@ from servobench.virtual_bus.drive.data_sheet import tell_motor
 from servobench.virtual_bus.drive.encoder import SpeedMethod, SpeedSensing
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.virtual_bus.drive.set_point_path import SetPointPath
 from tests.drive_loops import OpenLoop, opened
 from tests.motors import LING
 from tests.unit.hil.test_manual_motion import Moved, moved
@@ -48,12 +49,13 @@ class DrawnDrive:
         """What was drawn, in a line."""
         each, speed = self.parameters, self.parameters.speed
         inertia = self.motor.inertia_kg_m2 / LING.inertia_kg_m2
+        filters = f"filters {each.path.filter_hz}, {each.path.torque_filter_hz} Hz"
         demand = ", ".join(f"{key} {value:.1f}" for key, value in self.demand.items())
         coupled = "coupled " if self.motor.mechanism is not None else ""
         maker = "EPOS4 " if self.makers else ""
         return (
             f"{maker}{coupled}{speed.method.name.lower()} {speed.filter_hz} Hz, {each.inner_rate_hz} Hz, "
-            f"{each.encoder_counts_per_revolution} counts, J x {inertia:.1f}: "
+            f"{each.encoder_counts_per_revolution} counts, J x {inertia:.1f}, {filters}: "
             f"{demand}"
         )
 
@@ -101,7 +103,11 @@ def drawn(seed: int) -> DrawnDrive:
         stiffness = load * (math.tau * draw.uniform(30.0, 150.0)) ** 2  # by the antiresonance, Hz
         coupling = Coupling(motor.inertia_kg_m2 - load, load, stiffness, damping_ratio=0.02)
         motor = replace(motor, mechanism=Mechanism(coupling=coupling))
-    return DrawnDrive(motor, parameters, makers, demand)
+    path = SetPointPath(
+        filter_hz=draw.choice([None, None, None, 50.0, 200.0]),
+        torque_filter_hz=draw.choice([None, None, None, 300.0]),
+    )
+    return DrawnDrive(motor, replace(parameters, path=path), makers, demand)
 
 
 def tuned(each: DrawnDrive, servo: SimulatedServo, out: Path) -> Moved:

@@ -4,12 +4,13 @@
     made    W/R = e^(-s Tw) H(s) (C + K s) G/F/(1 + C G)      by the positions, which no filter delays
     G     = F(s) e^(-s Td)/((1 + Tl s)(J s + B))              from the loop's output to the speed it compares
     F     = 1/(1 + Tf s), or 1/(1 + Tf s/2)^2                 from the shaft's speed to that one
+    H     = sinc or sinc^2, behind 1/(1 + Tr s)               from the samples of the set-point to the loop
 
-Ts and Tw, from the host to the loop and back, and K, a feed-forward of the acceleration, are found and
-forgotten: what is kept is G, with all delay and lag inside the loop: of the current loop, of the computing,
-of the speed's filter. With K = J neither V nor W tells J: it is that of the ramps. F is a filter or an
-observer; H: the drive holds a set-point until the next one, or goes there in a straight line; what fits
-better. Responses with different gains are fitted together.
+Ts and Tw, from the host to the loop and back, K, a feed-forward of the acceleration, and Tr, a filter of the
+set-point, are found and forgotten: what is kept is G, with all delay and lag inside the loop: of the current
+loop, of the computing, of the speed's filter. With K = J neither V nor W tells J: it is that of the ramps. F
+is a filter or an observer; a drive holds its set-point until the next one, or goes there in a straight line;
+what fits better. Responses with different gains are fitted together.
 """
 
 import itertools
@@ -46,6 +47,10 @@ _COHERENT: Final = 0.8
 """A line below this is left out: over so few blocks its noise is not known."""
 _MODEL: Final = 0.003
 """Relative error of the model itself, beside a line's noise."""
+_SMOOTHED: Final = 0.04
+"""Misfit from which on Tr is looked for: beside no filter it makes the lag less certain."""
+_PINNED_S: Final = 1e-9
+"""A Tr of none, which has to lie within bounds."""
 _OUTLYING: Final = 3.0
 """Standard deviations beyond which an error counts by itself and no more by its square."""
 LINES_MIN: Final = 8
@@ -139,6 +144,8 @@ class _Unknowns(NamedTuple):
     lag_s: float
     filter_s: float
     feed_share: float
+    smooth_s: float
+    """Tr."""
     filter_order: int
 
     def filtered(self, s: ComplexArray) -> ComplexArray:
@@ -147,6 +154,7 @@ class _Unknowns(NamedTuple):
 
 
 _SHARED: Final = len(_Unknowns._fields) - 1
+_SMOOTH: Final = _Unknowns._fields.index("smooth_s")
 
 
 def _filtered(s: ComplexArray, filter_s: float, order: int) -> ComplexArray:
@@ -185,15 +193,26 @@ def loop_plant(
         error = weight * errors(x, hold, order)
         return np.concatenate([error.real, error.imag])
 
-    best, hold, order = _fitted(residuals, lines, len(sets) - 1, period_s)
+    def judged(best: Any, hold: Hold, order: int) -> tuple[float, int]:
+        """Return the misfit, and the line that is furthest off."""
+        error = np.abs(errors(best.x, hold, order))
+        kept = np.argsort(weight * error)[: -len(excited)]
+        return math.sqrt(max(0.0, float(np.mean(error[kept] ** 2 - noise[kept] ** 2)))), int(kept[-1])
+
+    fit = partial(_fitted, residuals, lines, len(sets) - 1, period_s)
+    best, hold, order = fit(smooth_s=0.0)
+    misfit, worst = judged(best, hold, order)
+    smoothed = misfit > _SMOOTHED
+    if smoothed:
+        best, hold, order = fit(smooth_s=_LAG_MAX_S)
+        misfit, worst = judged(best, hold, order)
     others = len(sets) > 1
-    found, error = _unknowns(best.x, order), np.abs(errors(best.x, hold, order))
-    freedom = max(1, 2 * len(error) - len(best.x))
-    covariance = np.linalg.pinv(best.jac.T @ best.jac) * max(1.0, 2.0 * float(best.cost) / freedom)
-    together = np.array([1.0, 1.0, 1.0, *[0.0] * (len(best.x) - 3)])
+    found = _unknowns(best.x, order)
+    jacobian = best.jac if smoothed else np.delete(best.jac, _SMOOTH, axis=1)
+    freedom = max(1, jacobian.shape[0] - jacobian.shape[1])
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * max(1.0, 2.0 * float(best.cost) / freedom)
+    together = np.array([1.0, 1.0, 1.0, *[0.0] * (jacobian.shape[1] - 3)])
     frequency = np.concatenate([each.omega for each in lines]) / math.tau
-    kept = np.argsort(weight * error)[: -len(excited)]
-    beyond = float(np.mean(error[kept] ** 2 - noise[kept] ** 2))
     return LoopPlant(
         inertia_kg_m2,
         viscous_nm_s,
@@ -202,8 +221,8 @@ def loop_plant(
         found.filter_s,
         order,
         found.feed_share,
-        misfit=math.sqrt(max(0.0, beyond)),
-        worst_hz=float(frequency[kept[-1]]),
+        misfit=misfit,
+        worst_hz=float(frequency[worst]),
         lag_error_s=2.0 * math.sqrt(max(0.0, float(together @ covariance @ together))),
         share=float(best.x[-1]) if others else 1.0,
         share_error=2.0 * math.sqrt(max(0.0, float(covariance[-1, -1]))) if others else 0.0,
@@ -211,20 +230,39 @@ def loop_plant(
 
 
 def _fitted(
-    residuals: Callable[[Array, Hold, int], Array], lines: Sequence[_Lines], others: int, period_s: float
+    residuals: Callable[[Array, Hold, int], Array],
+    lines: Sequence[_Lines],
+    others: int,
+    period_s: float,
+    smooth_s: float,
 ) -> tuple[Any, Hold, int]:
-    """Return the best fit, with its H and order of F. ``others``: sets of gains beside the first."""
+    """Return the best fit, with its H and order of F. ``others``: sets of gains beside the first;
+    ``smooth_s``: the longest Tr."""
     most_s = _TRANSPORT_PERIODS * period_s
     bounds = (
         [*[0.0] * (_SHARED + len(lines)), *[1.0 / _SHARE_MAX] * others],
-        [*[_LAG_MAX_S] * 3, _FEED_MAX, *[most_s] * len(lines), *[_SHARE_MAX] * others],
+        [
+            *[_LAG_MAX_S] * 3,
+            _FEED_MAX,
+            max(smooth_s, _PINNED_S),
+            *[most_s] * len(lines),
+            *[_SHARE_MAX] * others,
+        ],
     )
-    scale = [1e-4, 1e-4, 1e-4, 0.1, *[1e-3] * len(lines), *[0.1] * others]
+    scale = [1e-4, 1e-4, 1e-4, 0.1, 1e-4, *[1e-3] * len(lines), *[0.1] * others]
     late_s = [_late_s(each) for each in lines]
     fits = []
     for hold, order, lag_s in itertools.product((_stepped, _straight), (1, 2), _STARTS_S):
         ways = [min(max(late - lag_s, 0.1 * period_s), 0.9 * most_s) for late in late_s]
-        start = [lag_s / 3.0, lag_s / 3.0, lag_s / 3.0, _FEED, *ways, *[1.0] * others]
+        start = [
+            lag_s / 3.0,
+            lag_s / 3.0,
+            lag_s / 3.0,
+            _FEED,
+            max(0.5 * _PINNED_S, min(1e-3, smooth_s)),
+            *ways,
+            *[1.0] * others,
+        ]
         fit = scipy.optimize.least_squares(
             residuals,
             start,
@@ -241,8 +279,8 @@ def _fitted(
 
 
 def _unknowns(x: Array, order: int) -> _Unknowns:
-    delay_s, lag_s, filter_s, feed_share = (float(each) for each in x[:_SHARED])
-    return _Unknowns(delay_s, lag_s, filter_s, feed_share, order)
+    delay_s, lag_s, filter_s, feed_share, smooth_s = (float(each) for each in x[:_SHARED])
+    return _Unknowns(delay_s, lag_s, filter_s, feed_share, smooth_s, order)
 
 
 def _late_s(lines: _Lines) -> float:
@@ -300,5 +338,7 @@ def _model(
     s = 1j * omega
     controller, filtered = share * lines.gains.response(omega), found.filtered(s)
     forward = shaft_plant(inertia_kg_m2, viscous_nm_s, found.delay_s, found.lag_s)(omega)
-    driven = (controller + found.feed_share * inertia_kg_m2 * s) * (filtered if lines.told else 1.0)
+    driven = (controller + found.feed_share * inertia_kg_m2 * s) / (1.0 + s * found.smooth_s)
+    if lines.told:
+        driven = driven * filtered
     return np.asarray(driven * forward / (1.0 + controller * forward * filtered), dtype=complex)

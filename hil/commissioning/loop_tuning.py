@@ -8,6 +8,7 @@ import numpy as np
 
 from servobench.design.hinf.margins import Response
 from servobench.design.speed.drive_loop import DrivePi, LoopBehaviour, closed_by, figures_of
+from servobench.drivers.cia402.profile import Mode
 from servobench.drivers.timebase import NS_PER_S
 from servobench.drivers.vendors.gain_objects import LoopGains
 from servobench.hil.commissioning.findings import StepFailed, StepOutcome
@@ -76,8 +77,7 @@ class LoopTuning:
             raise StepFailed(
                 f"the loop does not answer as one around a rigid shaft: {100 * found.misfit:.0f} % off",
                 f"most at {found.worst_hz:.0f} Hz",
-                self._noise(gains)
-                or "is there a coupling between motor and load? Tune it with the maker's tool",
+                self._noise(gains) or self._cause(),
             )
         if abs(found.share - 1.0) > max(_SHARE_OFF, 1.5 * found.share_error):
             raise StepFailed(
@@ -109,6 +109,12 @@ class LoopTuning:
             f"P makes {noise_nm:.3g} N m rms of the speed's noise, {100 * share:.0f} % of the torque limit: "
             "take a lower P or a speed filter first"
         )
+
+    def _cause(self) -> str:
+        """Return what else than noise may be behind a response that is not a rigid shaft's."""
+        if self.session.port.mode is Mode.PROFILE_VELOCITY:
+            return "in profile velocity the drive plans its own way to each set-point; in csv it does not"
+        return "is there a coupling between motor and load? Tune it with the maker's tool"
 
     def uncertain(self, held: Mapping[str, float]) -> str:
         """Return why the figures with raw gains do not hold well enough; empty: they do."""

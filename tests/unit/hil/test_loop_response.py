@@ -18,21 +18,27 @@ STEPS: Final = 50
 LINES: Final = lines_hz(4.0, 250.0, 28, BLOCK_S)
 
 
-def responded(gains: Gains, delay_s: float, filter_s: float, feed: float, acts: float = 1.0) -> Excited:
-    """Integrate a loop by Euler's rule over two blocks; the first one settles."""
+def responded(
+    gains: Gains, delay_s: float, filter_s: float, feed: float, acts: float = 1.0, smooth_s: float = 0.0
+) -> Excited:
+    """Integrate a loop by Euler's rule over two blocks; the first one settles.
+
+    ``smooth_s``: of a filter of the set-point.
+    """
     step_s = PERIOD_S / STEPS
     added = multisine(LINES, 1.0, 3, np.minimum(1.0, 20.0 / LINES))
     count = round(2 * BLOCK_S / PERIOD_S)
     given = np.array([added(k * PERIOD_S) for k in range(count)])
     late = round(delay_s / step_s)
     torques = [0.0] * late
-    speed = told = integral = angle = 0.0
+    speed = told = integral = angle = wanted = 0.0
     seen, turned = np.empty(count), np.empty(count)
     for k in range(count):
         seen[k], turned[k] = told, angle
         fed_nm = feed * INERTIA * (given[k] - given[k - 1]) / PERIOD_S if k else 0.0
         for _ in range(STEPS):
-            error = given[k] - told
+            wanted += (given[k] - wanted) * (step_s / smooth_s if smooth_s else 1.0)
+            error = wanted - told
             integral += acts * gains.integral * error * step_s
             torques.append(acts * gains.proportional * error + integral + fed_nm)
             angle += speed * step_s
@@ -64,6 +70,13 @@ def test_the_lag_of_a_loop_that_feeds_nothing_forward(hz: float, delay_us: int, 
     )
     assert found.lag_in_all_s == pytest.approx(1e-6 * (delay_us + filter_us), abs=6e-5)
     assert found.feed_share == pytest.approx(0.0, abs=0.05)
+    assert found.misfit < 0.02
+
+
+def test_a_filter_of_the_set_point_is_no_lag_of_the_loop() -> None:
+    smoothed = responded(loop_of(40.0), 5e-4, 3e-4, 0.0, smooth_s=3e-3)
+    found = loop_plant([smoothed], INERTIA, VISCOUS, PERIOD_S)
+    assert found.lag_in_all_s == pytest.approx(8e-4, abs=1e-4)
     assert found.misfit < 0.02
 
 
