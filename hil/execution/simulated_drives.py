@@ -117,7 +117,9 @@ def _at_rate(controller: CurrentController | None, rate_hz: int) -> StateSpace |
         ) from None
 
 
-def drive_parameters(current_control: Sequence[Path], like: DriveModel | None = None) -> DriveParameters:
+def drive_parameters(
+    current_control: Sequence[Path], like: DriveModel | None = None, gain_objects: bool = False
+) -> DriveParameters:
     """Return the parameters of the drives of ``hil simulate``, with the current controllers in these files.
     Raises BadInput."""
     controllers: dict[str, StateSpace | None] = {"q": None, "d": None}
@@ -130,7 +132,12 @@ def drive_parameters(current_control: Sequence[Path], like: DriveModel | None = 
                 "--current-control", "", str(path), f"one controller for the {controller.axis} axis at most"
             )
         controllers[controller.axis] = _at_rate(controller, rate_hz)
-    return DriveParameters(controller_q=controllers["q"], controller_d=controllers["d"], **modelled)
+    return DriveParameters(
+        controller_q=controllers["q"],
+        controller_d=controllers["d"],
+        gain_objects=gain_objects,
+        **modelled,
+    )
 
 
 def simulate(
@@ -146,6 +153,7 @@ def simulate(
     background: Sequence[Stream] = (),
     current_control: Sequence[Path] = (),
     like: DriveModel | None = None,
+    gain_objects: bool = False,
     loads: Mapping[int, LoadTable] = MappingProxyType({}),
     load_machine: SimulatedLoadMachine | None = None,
     serials: Sequence[int] = (),
@@ -161,7 +169,7 @@ def simulate(
     spec = shared_bus(bus_spec, "use hub:NAME, or run the bench itself with --bus simulated")
     store = files.memory(nodes)
     makers = files.makers(files.vendor(announce, nodes, bitrate_bit_s, motor), serial_of_each(nodes, serials))
-    drive = files.drive(drive_parameters(current_control, like))
+    drive = files.drive(drive_parameters(current_control, like, gain_objects))
     devices = [
         SimulatedServo(node, motor, replace(drive, load=loads.get(node)), seed, store=store, vendor=vendor)
         for node, vendor in zip(nodes, makers, strict=True)

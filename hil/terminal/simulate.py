@@ -95,6 +95,10 @@ class SimulateOptions:
         list[Path] | None,
         valued("--current-control", "FILE", "Current controller of the q or d axis, repeatable."),
     ] = None
+    gain_objects: Annotated[
+        bool,
+        flag("--gain-objects", "Objects for the gains of the drive's own loops: 2121h, or its maker's."),
+    ] = False
     bitrate: BitrateOption = 1_000_000
     force: Annotated[bool, flag("--force", "Join even if a node with the same id is on the bus.")] = False
     seed: SeedOption = None
@@ -142,6 +146,7 @@ def simulate(asked: SimulateOptions) -> None:
         background=others,
         current_control=asked.current_control or (),
         like=like,
+        gain_objects=asked.gain_objects,
         loads=load_tables(asked.load or [], nodes),
         load_machine=instrument,
         force=asked.force,
