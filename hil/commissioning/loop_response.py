@@ -49,6 +49,8 @@ _MODEL: Final = 0.003
 """Relative error of the model itself, beside a line's noise."""
 _SMOOTHED: Final = 0.04
 """Misfit from which on Tr is looked for: beside no filter it makes the lag less certain."""
+_CLEARER: Final = 0.5
+"""With a true Tr the misfit all but vanishes; noise leaves it as it is."""
 _PINNED_S: Final = 1e-9
 """A Tr of none, which has to lie within bounds."""
 _OUTLYING: Final = 3.0
@@ -193,24 +195,21 @@ def loop_plant(
         error = weight * errors(x, hold, order)
         return np.concatenate([error.real, error.imag])
 
-    def judged(best: Any, hold: Hold, order: int) -> tuple[float, int]:
-        """Return the misfit, and the line that is furthest off."""
-        error = np.abs(errors(best.x, hold, order))
-        kept = np.argsort(weight * error)[: -len(excited)]
-        return math.sqrt(max(0.0, float(np.mean(error[kept] ** 2 - noise[kept] ** 2)))), int(kept[-1])
+    def judged(best: Any, hold: Hold, order: int) -> _Judgement:
+        return _judged(np.abs(errors(best.x, hold, order)), noise, weight, len(excited))
 
     fit = partial(_fitted, residuals, lines, len(sets) - 1, period_s)
     best, hold, order = fit(smooth_s=0.0)
-    misfit, worst = judged(best, hold, order)
-    smoothed = misfit > _SMOOTHED
-    if smoothed:
-        best, hold, order = fit(smooth_s=_LAG_MAX_S)
-        misfit, worst = judged(best, hold, order)
+    judgement, smoothed = judged(best, hold, order), False
+    if judgement.misfit > _SMOOTHED:
+        other = fit(smooth_s=_LAG_MAX_S)
+        smoothed = (look := judged(*other)).misfit < _CLEARER * judgement.misfit
+        if smoothed:
+            (best, hold, order), judgement = other, look
     others = len(sets) > 1
     found = _unknowns(best.x, order)
     jacobian = best.jac if smoothed else np.delete(best.jac, _SMOOTH, axis=1)
-    freedom = max(1, jacobian.shape[0] - jacobian.shape[1])
-    covariance = np.linalg.pinv(jacobian.T @ jacobian) * max(1.0, 2.0 * float(best.cost) / freedom)
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * judgement.over
     together = np.array([1.0, 1.0, 1.0, *[0.0] * (jacobian.shape[1] - 3)])
     frequency = np.concatenate([each.omega for each in lines]) / math.tau
     return LoopPlant(
@@ -221,12 +220,30 @@ def loop_plant(
         found.filter_s,
         order,
         found.feed_share,
-        misfit=misfit,
-        worst_hz=float(frequency[worst]),
+        misfit=judgement.misfit,
+        worst_hz=float(frequency[judgement.worst]),
         lag_error_s=2.0 * math.sqrt(max(0.0, float(together @ covariance @ together))),
         share=float(best.x[-1]) if others else 1.0,
         share_error=2.0 * math.sqrt(max(0.0, float(covariance[-1, -1]))) if others else 0.0,
     )
+
+
+class _Judgement(NamedTuple):
+    """How well a fit explains the lines."""
+
+    misfit: float
+    worst: int
+    """Place of the line that is furthest off."""
+    over: float
+    """Mean square of the errors over that of the noise, 1 at the least."""
+
+
+def _judged(error: Array, noise: Array, weight: Array, left_out: int) -> _Judgement:
+    """Judge a fit by its errors, without the worst ``left_out``."""
+    kept = np.argsort(weight * error)[:-left_out]
+    beyond = float(np.mean(error[kept] ** 2 - noise[kept] ** 2))
+    over = float(np.mean((weight[kept] * error[kept]) ** 2))
+    return _Judgement(math.sqrt(max(0.0, beyond)), int(kept[-1]), max(1.0, over))
 
 
 def _fitted(

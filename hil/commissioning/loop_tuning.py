@@ -26,6 +26,8 @@ _UNCERTAIN: Final = 0.07
 _NOISE_SHARE: Final = 0.2
 """Share of the torque limit: more noise than this rms reaches the limit again and again, and the loop is no
 linear one."""
+_SHARE_SEEN: Final = 0.2
+"""With more uncertainty than this (k = 2) a response does not show what the gains do."""
 _SHARE_OFF: Final = 0.15
 """What gains do may differ so much from what they should: more is another unit, or a limit in the drive."""
 
@@ -79,7 +81,7 @@ class LoopTuning:
                 f"most at {found.worst_hz:.0f} Hz",
                 self._noise(gains) or self._cause(),
             )
-        if abs(found.share - 1.0) > max(_SHARE_OFF, 1.5 * found.share_error):
+        if found.share_error < _SHARE_SEEN and abs(found.share - 1.0) > _SHARE_OFF + 2.0 * found.share_error:
             raise StepFailed(
                 f"the gains act as {found.share:.2f} times what was written: they are taken back",
                 f"+- {found.share_error:.2f} (k = 2)",
