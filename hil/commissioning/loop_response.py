@@ -55,7 +55,7 @@ _PINNED_S: Final = 1e-9
 """A Tr of none, which has to lie within bounds."""
 _OUTLYING: Final = 3.0
 """Standard deviations beyond which an error counts by itself and no more by its square."""
-LINES_MIN: Final = 8
+_LINES_MIN: Final = 8
 """More than the unknowns."""
 
 
@@ -173,9 +173,9 @@ def loop_plant(
         for each in excited
         for response, told in ((each.told, True), (each.made, False))
     ]
-    lines = [each for each in both if len(each.omega) >= LINES_MIN]
+    lines = [each for each in both if len(each.omega) >= _LINES_MIN]
     if not lines:
-        raise NotFound(f"fewer than {LINES_MIN} lines are coherent")
+        raise NotFound(f"fewer than {_LINES_MIN} lines are coherent")
 
     def errors(x: Array, hold: Hold, order: int) -> ComplexArray:
         found = _unknowns(x, order)

@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from servobench.design.errors import DesignError
+from servobench.design.errors import DesignError, InfeasibleDesign
 from servobench.design.speed.drive_loop import (
     DrivePi,
     LoopBehaviour,
@@ -181,6 +181,12 @@ class TuneSpeed(ShowSpeed):
         how = self._how
         try:
             if how.bandwidth_hz is not None:
+                if how.bandwidth_hz > tuning.known_to_hz:
+                    raise InfeasibleDesign(
+                        f"a bandwidth of {how.bandwidth_hz:g} Hz",
+                        f"the loop is measured up to {tuning.known_to_hz:.0f} Hz",
+                        "ask for less, or for a shorter period of the SYNC",
+                    )
                 return pi_for_bandwidth(tuning.plant, how.bandwidth_hz)
             assert how.phase_margin_deg is not None, "asks"
             return pi_for_phase_margin(tuning.plant, how.phase_margin_deg, RANGE_HZ[0], tuning.known_to_hz)

@@ -19,7 +19,7 @@ from servobench.drivers.canopen.network import CanopenNetwork
 from servobench.drivers.canopen.objects301 import Cia301, object_name
 from servobench.drivers.canopen.pdo import PdoDirection
 from servobench.drivers.cia402.scaling import FACTOR_OBJECTS
-from servobench.drivers.errors import BadInput, TransferAborted
+from servobench.drivers.errors import BadInput, PeerFault, TransferAborted
 from servobench.drivers.sheets.dictionary import LoadedDictionary
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, duration_s
 from servobench.hil.reviewing.trace.node_objects import NodeObjects
@@ -120,21 +120,24 @@ class Scope:
         layouts = {} if by_sdo else self._layouts()
         self._frames: dict[int, PdoLayout] = {}
         self.channels = [self._channel(key, layouts) for key in dict.fromkeys(keys)]
+        self.ended_by: PeerFault | None = None
+        """A fault of node or bus that ended the watch early; the samples before it are kept."""
 
-    def watch(self, seconds: float, check_stop: Callable[[], None]) -> list[Channel]:
-        """Take samples for ``seconds``. Raises NoAnswer for a node that fell silent."""
+    def watch(self, seconds: float, stopped: Callable[[], bool]) -> list[Channel]:
+        """Take samples for ``seconds``, or until ``stopped``, or the node falls silent: :attr:`ended_by`."""
         network = self._network
         for can_id, layout in self._frames.items():
             network.listen(can_id, partial(self._take_frame, layout))
         try:
             end = network.deadline_after(duration_s(seconds))
-            while network.clock.now() < end:
-                check_stop()
+            while network.clock.now() < end and not stopped():
                 begun = network.clock.now()
                 asked = [each for each in self.channels if each.source == BY_SDO and not each.lack]
                 for each in asked:
                     self._take_answer(each)
                 network.pump(min(end, Instant(begun + (_ROUND if asked else _LOOK))))
+        except PeerFault as error:
+            self.ended_by = error
         finally:
             for can_id in self._frames:
                 network.unlisten(can_id)

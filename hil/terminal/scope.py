@@ -54,10 +54,14 @@ def scope(
         make_folder(out)
     sheet = None if eds is None else load_dictionary(eds, node)
     with stop_signals() as stop, drive_network(bus, bitrate, NOTHING) as network:
-        channels = Scope(network, node, keys, sheet, sdo).watch(seconds, stop.check)
+        watch = Scope(network, node, keys, sheet, sdo)
+        channels = watch.watch(seconds, stop)
     files = [] if out is None else write_scope(out, channels, f"Node {node} on {bus}")
     for each in files:
         say_written(each)
+    if watch.ended_by is not None:
+        raise watch.ended_by
+    stop.check()
     told = [each.as_json() for each in channels]
     figures = {"node": node, "objects": told, "files": [str(each) for each in files]}
     put(figures, as_json, lambda _figures: typer.echo("\n".join(lines_of(channels))))

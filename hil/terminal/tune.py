@@ -24,9 +24,10 @@ def tune(
 ) -> None:
     """Read the gains of a drive's own speed loop, and compute, write and prove others.
 
-    Without a demand it tells them and nothing turns. With one it measures the inertia by speed ramps, and
-    tells bandwidth and margins before and after. It says what it will do, and asks. Any key stops the shaft.
-    What was written is undone, but for what --apply keeps; hil restore DIR/journal.jsonl undoes that too.
+    Without a demand it tells them and nothing turns. With one it measures the inertia by speed ramps and the
+    loop's lag by sines on its speed, and tells bandwidth and margins before and after. It says what it will
+    do, and asks. Any key stops the shaft. What was written is undone, but for what --apply keeps; hil restore
+    DIR/journal.jsonl undoes that too.
 
     Exit status: 0 done, 1 the demand cannot be met, or an early end, 2 bad input, 3 bus or drive fault, or a
     key, 4 done, and disturbed by others.

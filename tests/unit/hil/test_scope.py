@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Instant
 from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.hil.cli import app
+from servobench.hil.configuration.bench_file import faults_from
 from servobench.hil.execution.world import WorldPlan, open_world
 from servobench.hil.inspecting.scope import BY_SDO, Channel, Key, Scope, key_in, lines_of, seen_all
 from servobench.hil.inspecting.scope_files import write_scope
@@ -70,19 +71,21 @@ class Scene:
         self.network, self.tap, self.heard = network, tap, heard
 
     def watch(self, *keys: Key, by_sdo: bool = False, seconds: float = 0.3) -> list[Channel]:
-        return Scope(self.network, 1, keys, None, by_sdo).watch(seconds, lambda: None)
+        return Scope(self.network, 1, keys, None, by_sdo).watch(seconds, lambda: False)
 
 
 @contextmanager
-def scene(sync: bool = True) -> Iterator[Scene]:
+def scene(sync: bool = True, faults: dict[str, Any] | None = None) -> Iterator[Scene]:
     servo = SimulatedServo(1, LING, DriveParameters(brake_torque_nm=0.0))
-    plan = WorldPlan(parse_bus_spec("simulated"), 1_000_000)
+    injected = None if faults is None else faults_from(faults, "x")
+    plan = WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, injected)
     tap, heard = ShaftTap(servo), SdoWrites()
     with open_world(plan, [servo]) as world:
         others = [ForeignNode(Frame(0x000, b"\x01\x00"), 0.05)]
         if sync:
             others.append(ForeignNode(Frame(0x080, b""), 0.1, 10_000, SYNC_S))
         put_on_the_bus(world, tap, heard, *others)
+        world.faults.start(world.clock.now())
         world.clock.sleep_until(Instant(90 * NS_PER_MS))
         yield Scene(CanopenNetwork(world.link, world.clock, writes=NOTHING), tap, heard)
 
@@ -140,6 +143,23 @@ def test_an_object_that_is_refused_is_named_and_the_others_are_watched() -> None
         assert "06020000h" in refused.lack
         assert speed.values
         assert not seen_all([refused, speed])
+
+
+def test_what_was_seen_before_the_bus_is_lost_is_kept() -> None:
+    with scene(faults={"link_down": [{"at_s": 0.25, "duration_s": 1000.0}]}) as seen:
+        watch = Scope(seen.network, 1, [SPEED], None, by_sdo=True)
+        (speed,) = watch.watch(2.0, lambda: False)
+        assert watch.ended_by is not None
+        assert len(speed.values) > 30
+
+
+def test_a_stop_ends_it_with_what_was_seen() -> None:
+    with scene() as seen:
+        watch = Scope(seen.network, 1, [SPEED], None, by_sdo=True)
+        end = seen.network.clock.now() + 100 * NS_PER_MS
+        (speed,) = watch.watch(60.0, lambda: seen.network.clock.now() > end)
+        assert watch.ended_by is None
+        assert 30 < len(speed.values) < 200
 
 
 def test_samples_picture_and_page(tmp_path: Path) -> None:
