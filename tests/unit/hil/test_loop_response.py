@@ -70,7 +70,7 @@ def test_the_lag_of_a_loop_that_feeds_nothing_forward(hz: float, delay_us: int, 
     )
     assert found.lag_in_all_s == pytest.approx(1e-6 * (delay_us + filter_us), abs=6e-5)
     assert found.feed_share == pytest.approx(0.0, abs=0.05)
-    assert found.misfit < 0.02
+    assert found.misfit < 0.002, "0.004 without the images of the set-point's corners"
 
 
 def test_a_filter_of_the_set_point_is_no_lag_of_the_loop() -> None:

@@ -76,7 +76,7 @@ class Scene:
 
 @contextmanager
 def scene(sync: bool = True, faults: dict[str, Any] | None = None) -> Iterator[Scene]:
-    servo = SimulatedServo(1, LING, DriveParameters(brake_torque_nm=0.0))
+    servo = SimulatedServo(1, LING, DriveParameters(brake_torque_nm=0.0, clock_offset_us=0))
     injected = None if faults is None else faults_from(faults, "x")
     plan = WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, injected)
     tap, heard = ShaftTap(servo), SdoWrites()
@@ -105,6 +105,16 @@ def test_the_instant_of_an_answer_lies_within_what_is_told() -> None:
             low, high = seen.tap.between(at - within - FILTER_NS, at + within)
             assert low - QUANTUM <= value <= high + QUANTUM
         assert max(speed.values) - min(speed.values) > 5.0, "or nothing was asked"
+
+
+def test_the_drive_s_own_clock_was_read_within_the_interval_that_is_told() -> None:
+    """1013h in us since power-on, which was at 0: no two instants of it fit another interval."""
+    with scene() as seen:
+        (clock,) = seen.watch((0x1013, 0), by_sdo=True)
+        assert len(clock.values) > 100
+        for at, within, raw in zip(clock.at, clock.within, clock.values, strict=True):
+            read_ns = raw * (1e9 if clock.unit == "s" else 1e3)
+            assert at - within - 1e3 <= read_ns <= at + within
 
 
 def test_what_comes_in_pdos_is_taken_from_them_with_every_sync() -> None:
