@@ -1,5 +1,7 @@
 """Objects of a drive over time: out of the PDOs that it sends anyway, else asked for by SDO, one by one.
 
+An object whose PDO does not come (no SYNC, node not operational) is asked for by SDO from then on.
+
 Nothing is written. A sample of a PDO has the instant at which its frame came; the drive took it some time
 before, with the SYNC or by its own timer. One of an SDO lies between request and answer: its instant is the
 middle, ``within`` half of the time between.
@@ -33,6 +35,8 @@ _TPDOS_MAX: Final = 8
 """More are looked for only where each of these is there."""
 _ROUND: Final = Duration(2 * NS_PER_MS)
 """From one round of requests to the next, at the least: two frames of 135 bits are 13 % of 1 Mbit/s."""
+_PDO_WAIT_S: Final = 0.5
+"""So long a PDO may stay away, or half of the watch: SYNC periods and event timers are shorter as a rule."""
 _LOOK: Final = Duration(50 * NS_PER_MS)
 """So long a request to stop may wait where no object is asked for."""
 
@@ -53,6 +57,8 @@ class Channel:
     source: str
     """``TPDO1``, or :data:`BY_SDO`."""
     name: str
+    silent: str = ""
+    """The TPDO that carries it and did not come; empty: none does."""
     unit: str = ""
     """Empty: raw numbers."""
     lack: str = ""
@@ -85,6 +91,8 @@ class Channel:
     def as_json(self) -> dict[str, Any]:
         """Figures for ``--json``."""
         told = {"object": object_name(*self.key), "name": self.name, "unit": self.unit, "source": self.source}
+        if self.silent:
+            told["silent"] = self.silent
         if self.lack:
             return {**told, "samples": 0, "lack": self.lack}
         return {
@@ -130,8 +138,11 @@ class Scope:
             network.listen(can_id, partial(self._take_frame, layout))
         try:
             end = network.deadline_after(duration_s(seconds))
+            due = network.deadline_after(duration_s(min(_PDO_WAIT_S, 0.5 * seconds)))
             while network.clock.now() < end and not stopped():
                 begun = network.clock.now()
+                if begun >= due:
+                    self._ask_for_what_stays_away()
                 asked = [each for each in self.channels if each.source == BY_SDO and not each.lack]
                 for each in asked:
                     self._take_answer(each)
@@ -143,11 +154,14 @@ class Scope:
                 network.unlisten(can_id)
         for each in self.channels:
             if not each.values and not each.lack:
-                each.lack = (
-                    f"{each.source} carries it, and none came: is the node operational, and who sends SYNC? "
-                    "--sdo asks for it"
-                )
+                each.lack = "no sample before the end"
         return self.channels
+
+    def _ask_for_what_stays_away(self) -> None:
+        """Turn to SDO for each object whose PDO has not come."""
+        for each in self.channels:
+            if each.source != BY_SDO and not each.values and not each.lack:
+                each.silent, each.source = each.source, BY_SDO
 
     def _ask(self, *keys: Key) -> None:
         """Have the node tell objects that names and units rest on."""
@@ -229,10 +243,11 @@ def lines_of(channels: Sequence[Channel]) -> list[str]:
             continue
         unit = f" {each.unit}" if each.unit else ""
         within = f", within {1e3 * each.within_s:.3g} ms" if each.within_s else ""
+        silent = f" (no {each.silent} came: not operational, or no SYNC)" if each.silent else ""
         low, mean, high = min(each.values), float(np.mean(each.values)), max(each.values)
         texts.append(
             f"{each.title}: {low:.6g} .. {mean:.6g} .. {high:.6g}{unit}; {len(each.values)} "
-            f"by {each.source}, {each.rate_hz:.4g} a second, {1e3 * each.gap_s:.3g} ms apart at most{within}"
+            f"by {each.source}{silent}, {each.rate_hz:.4g} a second, {1e3 * each.gap_s:.3g} ms apart at most{within}"
         )
     return texts
 

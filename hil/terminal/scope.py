@@ -35,9 +35,9 @@ def scope(
     """Watch objects of a drive: out of the PDOs that it sends anyway, else asked for by SDO, one by one.
 
     Nothing is written to the drive. For each object it tells least, mean and greatest value, how many
-    samples came by what way, how often, and how sure their instants are. While another master asks the drive
-    by SDO, watch objects of PDOs alone. Exit status: 0 done, 1 an object gave no sample, 2 bad input, 3 no
-    answer.
+    samples came by what way, how often, and how sure their instants are. An object whose PDO does not come
+    within half a second is asked for by SDO. While another master asks the drive by SDO, watch objects of
+    PDOs alone. Exit status: 0 done, 1 an object gave no sample, 2 bad input, 3 no answer.
 
     Examples:
       hil scope --bus hub:lab --node 1 --object 606C --object 6077 --out seen

@@ -137,14 +137,16 @@ def test_nothing_is_written() -> None:
         assert seen.heard.objects == set()
 
 
-def test_a_pdo_that_does_not_come_is_told() -> None:
+def test_an_object_whose_pdo_does_not_come_is_asked_for_by_sdo() -> None:
     with scene(sync=False) as seen:
-        channels = seen.watch(SPEED)
-        assert not seen_all(channels)
-        assert (
-            "606Ch:00 Velocity actual value by TPDO1: TPDO1 carries it, and none came"
-            in lines_of(channels)[0]
-        )
+        channels = seen.watch(SPEED, TORQUE)
+        assert seen_all(channels)
+        for each in channels:
+            assert (each.source, each.silent, each.as_json()["silent"]) == (BY_SDO, "TPDO1", "TPDO1")
+        assert "by SDO (no TPDO1 came: not operational, or no SYNC)" in lines_of(channels)[0]
+        for at, within, value in zip(channels[0].at, channels[0].within, channels[0].values, strict=True):
+            low, high = seen.tap.between(at - within - FILTER_NS, at + within)
+            assert low - QUANTUM <= value <= high + QUANTUM
 
 
 def test_an_object_that_is_refused_is_named_and_the_others_are_watched() -> None:
