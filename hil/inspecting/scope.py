@@ -245,9 +245,10 @@ def lines_of(channels: Sequence[Channel]) -> list[str]:
         within = f", within {1e3 * each.within_s:.3g} ms" if each.within_s else ""
         silent = f" (no {each.silent} came: not operational, or no SYNC)" if each.silent else ""
         low, mean, high = min(each.values), float(np.mean(each.values)), max(each.values)
+        way = f"{len(each.values)} by {each.source}{silent}"
         texts.append(
-            f"{each.title}: {low:.6g} .. {mean:.6g} .. {high:.6g}{unit}; {len(each.values)} "
-            f"by {each.source}{silent}, {each.rate_hz:.4g} a second, {1e3 * each.gap_s:.3g} ms apart at most{within}"
+            f"{each.title}: {low:.6g} .. {mean:.6g} .. {high:.6g}{unit}; {way}, "
+            f"{each.rate_hz:.4g} a second, {1e3 * each.gap_s:.3g} ms apart at most{within}"
         )
     return texts
 
